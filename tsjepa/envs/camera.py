@@ -1,0 +1,176 @@
+"""The camera: renders cart-poles from qpos alone, fast, through one persistent GL context."""
+
+from __future__ import annotations
+
+import atexit
+import dataclasses
+import math
+import os
+
+import mujoco
+import numpy as np
+
+from tsjepa.envs.dynamics import load_model
+from tsjepa.gl import missing_backend_message
+
+HEIGHT, WIDTH = 64, 128
+MOVING = ("cart", "pole")
+DEFAULT_COLORS = ((0.7, 0.5, 0.3), (0.7, 0.5, 0.3))
+DISABLED = ("SHADOW", "REFLECTION", "SKYBOX", "FOG", "HAZE")
+
+
+@dataclasses.dataclass(frozen=True)
+class View:
+    """Where the camera is and how it samples: position (m), vertical field of view, pitch and roll (degrees)."""
+
+    fovy: float = 20.0
+    position: tuple[float, float, float] = (0.0, -4.0, 1.5)
+    pitch: float = 0.0
+    roll: float = 0.0
+    samples: int = 4
+    supersampling: int = 1
+
+
+VIEW = View()
+
+
+def apply_view(model: mujoco.MjModel, view: View, height: int, width: int) -> None:
+    """Point the model's only camera, and size its off-screen buffer, for `view`."""
+    pitch, roll = math.radians(90.0 + view.pitch), math.radians(view.roll)
+    tilt, turn, pose = np.zeros(4), np.zeros(4), np.zeros(4)
+    mujoco.mju_axisAngle2Quat(tilt, np.array([1.0, 0.0, 0.0]), pitch)
+    mujoco.mju_axisAngle2Quat(turn, np.array([0.0, 0.0, 1.0]), roll)
+    mujoco.mju_mulQuat(pose, tilt, turn)
+    model.cam_pos[0], model.cam_quat[0], model.cam_fovy[0] = view.position, pose, view.fovy
+    model.vis.global_.offheight, model.vis.global_.offwidth = height, width
+    model.vis.quality.offsamples = view.samples
+
+
+def _release(gl: mujoco.GLContext, context: mujoco.MjrContext) -> None:
+    gl.make_current()
+    context.free()
+    gl.free()
+
+
+class Renderer:
+    """Renders frames of cart-poles; keeps its GL context, scene and buffers between calls.
+
+    The context is made on the first frame, so an instance costs nothing (and needs no GL) until then.
+
+    Args:
+        height: frame height in pixels.
+        width: frame width in pixels.
+        view: the camera.
+    """
+
+    def __init__(self, height: int = HEIGHT, width: int = WIDTH, view: View = VIEW) -> None:
+        self.height, self.width, self.view = height, width, view
+        self._gl = None
+
+    def render(self, qpos: np.ndarray, colors: np.ndarray | None = None) -> np.ndarray:
+        """Render one frame per row.
+
+        Args:
+            qpos: [N, 2] cart position (m) and pole angle (rad, 0 upright).
+            colors: [N, 2, 3] RGB in [0, 1] of cart and pole, or None for the default colours.
+
+        Returns:
+            uint8 [N, height, width, 3], a fresh array.
+
+        Raises:
+            ValueError: if qpos or colors has the wrong shape or is not finite, or colors leave [0, 1].
+            RuntimeError: if no GL backend is installed.
+        """
+        qpos = np.asarray(qpos, np.float64)
+        if qpos.ndim != 2 or qpos.shape[1] != 2:
+            raise ValueError(f"qpos must have shape [N, 2] (x, theta), got {list(qpos.shape)}.")
+        if not np.isfinite(qpos).all():
+            raise ValueError(f"qpos must be finite, got {qpos[~np.isfinite(qpos).all(axis=1)][0]}.")
+        if colors is not None:
+            colors = np.asarray(colors, np.float32)
+            if colors.shape != (len(qpos), 2, 3):
+                raise ValueError(f"colors must have shape [{len(qpos)}, 2, 3], got {list(colors.shape)}.")
+            if not ((colors >= 0) & (colors <= 1)).all():
+                raise ValueError("colors must lie in [0, 1].")
+        frames = np.empty((len(qpos), self.height, self.width, 3), np.uint8)
+        if not len(qpos):
+            return frames
+        self._ready()
+        for row, frame in enumerate(frames):
+            self._data.qpos[:] = qpos[row]
+            mujoco.mj_kinematics(self._model, self._data)
+            for part, (shape, geom) in enumerate(self._moving):
+                shape.pos = self._data.geom_xpos[geom]
+                shape.mat = self._data.geom_xmat[geom].reshape(3, 3)
+                shape.rgba[:3] = DEFAULT_COLORS[part] if colors is None else colors[row, part]
+            mujoco.mjr_render(self._viewport, self._scene, self._context)
+            mujoco.mjr_readPixels(self._buffer, None, self._viewport, self._context)
+            # OpenGL's first row is the bottom one.
+            frame[:] = self._shrink(self._buffer[::-1])
+        return frames
+
+    def metadata(self) -> dict:
+        """What a data set has to record to say how its frames were made; creates the GL context."""
+        self._ready()
+        return {
+            "height": self.height,
+            "width": self.width,
+            "view": dataclasses.asdict(self.view),
+            "samples": int(self._context.offSamples),
+            "disabled_flags": list(DISABLED),
+            "backend": os.environ.get("MUJOCO_GL", "default"),
+            "gl_renderer": self._gl_renderer,
+            "mujoco": mujoco.__version__,
+        }
+
+    def _shrink(self, image: np.ndarray) -> np.ndarray:
+        if self.view.supersampling == 1:
+            return image
+        import cv2
+
+        return cv2.resize(image, (self.width, self.height), interpolation=cv2.INTER_AREA)
+
+    def _ready(self) -> None:
+        if self._gl is not None:
+            # Another renderer of this process may have made its own context current.
+            self._gl.make_current()
+            return
+        scale = self.view.supersampling
+        height, width = self.height * scale, self.width * scale
+        try:
+            gl = mujoco.GLContext(width, height)
+        except Exception as error:
+            raise RuntimeError(missing_backend_message()) from error
+        gl.make_current()
+        self._model = load_model()
+        apply_view(self._model, self.view, height, width)
+        self._data = mujoco.MjData(self._model)
+        self._context = mujoco.MjrContext(self._model, mujoco.mjtFontScale.mjFONTSCALE_100)
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
+        self._viewport = mujoco.MjrRect(0, 0, width, height)
+        self._buffer = np.empty((height, width, 3), np.uint8)
+        self._build_scene()
+        self._gl_renderer = _gl_renderer_name()
+        self._gl = gl
+        atexit.register(_release, gl, self._context)
+
+    def _build_scene(self) -> None:
+        self._scene = mujoco.MjvScene(self._model, maxgeom=16)
+        for flag in DISABLED:
+            self._scene.flags[getattr(mujoco.mjtRndFlag, f"mjRND_{flag}")] = 0
+        camera = mujoco.MjvCamera()
+        camera.type, camera.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, 0
+        mujoco.mj_forward(self._model, self._data)
+        option = mujoco.MjvOption()
+        mujoco.mjv_updateScene(
+            self._model, self._data, option, None, camera, mujoco.mjtCatBit.mjCAT_ALL.value, self._scene
+        )
+        shapes = {shape.objid: shape for shape in self._scene.geoms[: self._scene.ngeom]}
+        geoms = [self._model.geom(name).id for name in MOVING]
+        self._moving = [(shapes[geom], geom) for geom in geoms]
+
+
+def _gl_renderer_name() -> str:
+    from OpenGL import GL
+
+    return GL.glGetString(GL.GL_RENDERER).decode()
