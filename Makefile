@@ -1,0 +1,61 @@
+# Train, evaluate and test TS-JEPA; `make help` lists the targets. Needs neither root nor an activated environment.
+
+# The interpreter for a new environment; without one, the first suitable of those named in the setup rule.
+PYTHON ?=
+VENV ?= .venv
+# Added to `pip install`, for example to choose where torch comes from.
+PIP_FLAGS ?=
+
+# What the targets run; for example: make train-jepa RECIPE=recipes/smoke.yaml
+RECIPE ?= recipes/jepa.yaml
+ACTOR_RECIPE ?= recipes/actor.yaml
+DATA_RECIPE ?= recipes/data.yaml
+EVALUATION_RECIPE ?= recipes/evaluate.yaml
+
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.setup-done
+
+.PHONY: help setup train-jepa train-actor data evaluate test lint
+
+help: ## print this list
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "%-12s %s\n", $$1, $$2}' Makefile
+
+setup: $(STAMP) ## create the environment in .venv and install everything into it
+	@grep -q tsjepa $(BIN)/lightning || $(BIN)/python -m pip install -q --no-deps -e .
+
+$(STAMP): pyproject.toml
+	@if ! $(BIN)/python -c 'import pip' 2>/dev/null; then \
+	  for python in $(if $(PYTHON),"$(PYTHON)",python3 python3.12 python3.11 python3.10); do \
+	    "$$python" -c 'import ensurepip, sys, venv; sys.exit(not (3, 10) <= sys.version_info < (3, 13))' 2>/dev/null \
+	      && break || python=; \
+	  done; \
+	  if [ -z "$$python" ]; then \
+	    echo "setup needs Python 3.10, 3.11 or 3.12 with its venv module (Debian/Ubuntu: apt install python3-venv)," \
+	      "and $(if $(PYTHON),$(PYTHON) is not one,found none); name one with make PYTHON=/path/to/python3.11" >&2; \
+	    exit 1; \
+	  fi; \
+	  "$$python" -m venv $(VENV); \
+	fi
+	$(BIN)/python -m pip install --quiet $(PIP_FLAGS) -e '.[test]'
+	@touch $@
+
+train-jepa: setup ## collect the data, train TS-JEPA and the actor, close the loop, print the final table
+	$(BIN)/tsjepa fit --config $(RECIPE)
+	$(BIN)/tsjepa fit --config $(ACTOR_RECIPE)
+	$(BIN)/tsjepa evaluate --config $(EVALUATION_RECIPE)
+
+train-actor: setup ## train the semantic actor on the embeddings of a trained TS-JEPA
+	$(BIN)/tsjepa fit --config $(ACTOR_RECIPE)
+
+data: setup ## collect the data sets from dm-control pixels
+	$(BIN)/tsjepa collect --config $(DATA_RECIPE)
+
+evaluate: setup ## close the loop on held-out starts and print the table
+	$(BIN)/tsjepa evaluate --config $(EVALUATION_RECIPE)
+
+test: setup ## run the unit tests and a smoke run of the whole chain
+	$(BIN)/python -m pytest
+
+lint: setup ## check style and formatting
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
