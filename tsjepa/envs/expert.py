@@ -130,12 +130,19 @@ def reference_lqr(sampling_interval: float = 0.02) -> ClippedLQR:
 
 
 class Expert(ClippedLQR):
-    """The optimal policy of the paper, with perfect feedback.
+    """The optimal policy of the paper, with perfect feedback; the tsjepa controller is trained to imitate it.
+
+    The paper names a non-linear optimal policy without giving it. This one is the linear-quadratic regulator with
+    Q = diag(1.6, 1, 0.005, 0.005), R = 1e-3, solved for the sampling interval, position error clipped at 0.65 m and
+    force at 20 N. The weights come from a search (evolution strategy, then a grid) over diagonal Q, clips, other
+    saturations and blends of two gains, scored with and without measurement and process noise. It reaches the box
+    slightly sooner than `reference_lqr` at slightly less cost. Its command answers errors in the state about half as much,
+    because velocity is hardly penalised: with noise of 8 mm, 5 mrad, 0.06 m/s and 0.08 rad/s the command errs by
+    3.0 N instead of 5.9 N at 20 ms.
 
     Args:
         sampling_interval: length of a slot in seconds, over which a command is held.
     """
 
     def __init__(self, sampling_interval: float = 0.02) -> None:
-        reference = reference_lqr(sampling_interval)
-        super().__init__(reference.gain, reference.position_clip)
+        super().__init__(lqr_gain(sampling_interval, (1.6, 1.0, 0.005, 0.005), 1e-3), position_clip=0.65)
