@@ -38,9 +38,9 @@ def choose_backend() -> str | None:
 def missing_backend_message() -> str:
     """The one sentence shown when frames are asked for and no GL backend is installed."""
     return (
-        "No OpenGL backend that can render was found: install EGL (Debian/Ubuntu: libegl1 libgl1-mesa-dri; conda-forge, "
-        "without root: mesalib) or OSMesa (libosmesa6), or set MUJOCO_GL yourself; training from a data set that is "
-        "already on disk needs none."
+        "No OpenGL backend that can render was found: install EGL (Debian/Ubuntu: libegl1 libgl1-mesa-dri; "
+        "conda-forge, without root: mesalib) or OSMesa (libosmesa6), or set MUJOCO_GL yourself; training from a data "
+        "set that is already on disk needs none."
     )
 
 

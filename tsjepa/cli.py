@@ -1,0 +1,153 @@
+"""The command line: ``tsjepa COMMAND ...``, and ``lightning COMMAND ...`` as another name for the same program.
+
+``fit``, ``validate``, ``test`` and ``predict`` are Lightning's; every other command is one typed function, whose
+arguments become options. Nothing heavy is imported before the command is known.
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.metadata
+import os
+import sys
+import warnings
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from tsjepa.cli_errors import explain, one_sentence
+
+LIGHTNING_COMMANDS = {
+    "fit": "train a model",
+    "validate": "evaluate a checkpoint on the validation data",
+    "test": "evaluate a checkpoint on the test data",
+    "predict": "run a checkpoint on the prediction data",
+}
+COMMANDS = {
+    "collect": ("tsjepa.data.collect:collect", "record a data set of frames and commands from the plant"),
+    "evaluate": ("tsjepa.evaluation.closed_loop:evaluate", "close the loop on held-out starts and print the table"),
+    "doctor": ("tsjepa.doctor:doctor", "tell what this machine offers and what to mend"),
+}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command.
+
+    What the user got wrong is answered in one sentence, without a traceback unless ``TSJEPA_TRACEBACK=1``; anything
+    unforeseen keeps its traceback.
+
+    Args:
+        arguments: The command and its options; those of the process when None.
+
+    Returns:
+        The exit status: 0, or 1 when the command failed for a reason that the user can mend, or 130 after Ctrl-C.
+
+    Raises:
+        SystemExit: 2 when the arguments are wrong, 0 after ``--help``.
+    """
+    program = "lightning" if Path(sys.argv[0]).name == "lightning" else "tsjepa"
+    command, *options = (sys.argv[1:] if arguments is None else list(arguments)) or [""]
+    if command in ("-h", "--help"):
+        print(_help(program))
+        return 0
+    if command == "--version":
+        print(f"tsjepa {importlib.metadata.version('tsjepa')}")
+        return 0
+    if command not in {**LIGHTNING_COMMANDS, **COMMANDS}:
+        given = f"there is no command '{command}'" if command else "a command is missing"
+        known = ", ".join([*LIGHTNING_COMMANDS, *COMMANDS])
+        print(f"{program}: {given}; choose from {known}.", file=sys.stderr)
+        raise SystemExit(2)
+    options = _find_recipes(options)
+    try:
+        if command in LIGHTNING_COMMANDS:
+            _run_lightning(program, command, options)
+        else:
+            _run_function(program, command, options)
+    except KeyboardInterrupt:
+        return 130
+    except Exception as error:
+        sentence = explain(error)
+        if sentence is None or os.environ.get("TSJEPA_TRACEBACK") == "1":
+            raise
+        print(f"{program} {command}: {sentence}", file=sys.stderr)
+        return 1
+    return 0
+
+
+# One program under two names.
+lightning_main = main
+
+
+def _help(program: str) -> str:
+    commands = {**LIGHTNING_COMMANDS, **{name: summary for name, (_, summary) in COMMANDS.items()}}
+    return "\n".join(
+        [
+            f"usage: {program} COMMAND [--config RECIPE.yaml] [options]",
+            "",
+            "commands:",
+            *(f"  {name:<10}{summary}" for name, summary in commands.items()),
+            "",
+            f"{program} COMMAND --help lists the options of a command.",
+        ]
+    )
+
+
+def _find_recipes(options: list[str]) -> list[str]:
+    """Replace ``recipes/NAME.yaml``, where the working directory has none, by the one that came with the package."""
+    shipped = Path(__file__).parent
+    return [
+        str(shipped / option)
+        if option.startswith("recipes/") and not Path(option).exists() and (shipped / option).is_file()
+        else option
+        for option in options
+    ]
+
+
+def _run_lightning(program: str, command: str, options: list[str]) -> None:
+    # Never ask for an account, nor send anything, unless the user has set the mode.
+    os.environ.setdefault("WANDB_MODE", "offline")
+    from lightning.pytorch.cli import LightningArgumentParser, LightningCLI
+
+    class Parser(LightningArgumentParser):
+        error = _error_method(f"{program} {command}")
+
+    # Lightning warns when it is handed arguments while the process has its own.
+    warnings.filterwarnings("ignore", message="LightningCLI's args parameter")
+    LightningCLI(
+        seed_everything_default=0,
+        save_config_kwargs={"overwrite": True},
+        auto_configure_optimizers=False,
+        parser_class=Parser,
+        parser_kwargs={"prog": program},
+        args=[command, *options],
+    )
+
+
+def _run_function(program: str, command: str, options: list[str]) -> None:
+    from jsonargparse import ArgumentParser
+
+    class Parser(ArgumentParser):
+        error = _error_method(f"{program} {command}")
+
+    module, name = COMMANDS[command][0].split(":")
+    function: Callable = getattr(importlib.import_module(module), name)
+    parser = Parser(prog=f"{program} {command}", description=COMMANDS[command][1])
+    parser.add_argument("-c", "--config", action="config", help="a YAML file with any of the options below")
+    parser.add_function_arguments(function)
+    values = parser.instantiate(parser.parse_args(options))
+    del values["config"]
+    function(**values)
+
+
+def _error_method(program: str) -> Callable:
+    """Replaces ``ArgumentParser.error``, which prints a usage of hundreds of options before the message."""
+
+    def error(parser: object, message: str, cause: Exception | None = None) -> None:
+        print(f"{program}: {one_sentence(message)} (options: {program} --help)", file=sys.stderr)
+        raise SystemExit(2)
+
+    return error
+
+
+if __name__ == "__main__":
+    sys.exit(main())

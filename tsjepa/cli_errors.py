@@ -1,0 +1,65 @@
+"""Tells the user's mistakes from the program's, and says them in one sentence."""
+
+from __future__ import annotations
+
+import dis
+import re
+from pathlib import Path
+from types import TracebackType
+
+_PACKAGE = Path(__file__).parent
+# Lines of jsonargparse's messages that name its types instead of the mistake.
+_NOISE = re.compile(
+    r"Does not validate against any of the Union|Subtypes: |Errors:$|Expected a <class 'NoneType'>"
+    r"|Given value type: |Given value: (NestedArg|Namespace)"
+)
+
+
+def one_sentence(message: str) -> str:
+    """Distil the many lines of a jsonargparse message into one."""
+    lines = [line.strip().removeprefix("- ").strip() for line in message.splitlines()]
+    text = "; ".join(line for line in lines if line and not _NOISE.match(line)).replace(":; ", ": ")
+    text = re.sub(r"<class '([\w.]+)'>", r"\1", text)
+    return re.sub(r'Parser key "([\w.]+)"', r"option '\1'", text).rstrip(".")
+
+
+def explain(error: BaseException) -> str | None:
+    """Say in one sentence what went wrong, where that is for the user to mend.
+
+    That is so for an exception that this package raises itself (a ``raise`` statement in its code), for a file that
+    cannot be opened, for a configuration that Lightning or jsonargparse refuses, and for a package not installed.
+
+    Returns:
+        The sentence, or None for an exception nobody foresaw, which deserves its traceback.
+    """
+    if _is_raised_here(error) or isinstance(error, OSError):
+        return str(error)
+    if isinstance(error, ModuleNotFoundError) and not (error.name or "").startswith("tsjepa"):
+        return f"the package {error.name} is not installed; `make setup` installs all that this program needs."
+    if type(error).__name__ == "MisconfigurationException":
+        return str(error)
+    if _module_of(error).startswith("jsonargparse"):
+        # The exception of a constructor, caught while jsonargparse tried out the types that an option may have.
+        cause = error.__cause__ or error.__context__
+        return explain(cause) if cause is not None else one_sentence(str(error))
+    return None
+
+
+def _innermost_frame(error: BaseException) -> TracebackType | None:
+    frame = error.__traceback__
+    while frame is not None and frame.tb_next is not None:
+        frame = frame.tb_next
+    return frame
+
+
+def _module_of(error: BaseException) -> str:
+    frame = _innermost_frame(error)
+    return frame.tb_frame.f_globals.get("__name__", "") if frame else ""
+
+
+def _is_raised_here(error: BaseException) -> bool:
+    """Whether a ``raise`` statement of this package threw the exception (and not a call that its code made)."""
+    frame = _innermost_frame(error)
+    if frame is None or _PACKAGE not in Path(frame.tb_frame.f_code.co_filename).parents:
+        return False
+    return dis.opname[frame.tb_frame.f_code.co_code[frame.tb_lasti]] == "RAISE_VARARGS"
