@@ -36,6 +36,7 @@ $(STAMP): pyproject.toml
 	  fi; \
 	  "$$python" -m venv $(VENV); \
 	fi
+	@echo "installing into $(VENV): a few minutes, about 2 GB (more where torch comes with CUDA)"
 	$(BIN)/python -m pip install --quiet $(PIP_FLAGS) -e '.[test]'
 	@touch $@
 

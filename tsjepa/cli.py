@@ -24,7 +24,7 @@ LIGHTNING_COMMANDS = {
 }
 COMMANDS = {
     "collect": ("tsjepa.data.collect:collect", "record a data set of frames and commands from the plant"),
-    "evaluate": ("tsjepa.evaluation.closed_loop:evaluate", "close the loop on held-out starts and print the table"),
+    "evaluate": ("tsjepa.evaluation.evaluate:evaluate", "close the loop on held-out starts and print the table"),
     "doctor": ("tsjepa.doctor:doctor", "tell what this machine offers and what to mend"),
 }
 
@@ -39,32 +39,34 @@ def main(arguments: Sequence[str] | None = None) -> int:
         arguments: The command and its options; those of the process when None.
 
     Returns:
-        The exit status: 0, or 1 when the command failed for a reason that the user can mend, or 130 after Ctrl-C.
+        The exit status: 0; 1 when the command failed for a reason that the user can mend; 2 when there is no such
+        command; 130 after Ctrl-C.
 
     Raises:
-        SystemExit: 2 when the arguments are wrong, 0 after ``--help``.
+        SystemExit: 2 when an option is wrong, 0 after the ``--help`` of a command.
     """
     program = "lightning" if Path(sys.argv[0]).name == "lightning" else "tsjepa"
     command, *options = (sys.argv[1:] if arguments is None else list(arguments)) or [""]
-    if command in ("-h", "--help"):
-        print(_help(program))
-        return 0
-    if command == "--version":
-        print(f"tsjepa {importlib.metadata.version('tsjepa')}")
-        return 0
-    if command not in {**LIGHTNING_COMMANDS, **COMMANDS}:
-        given = f"there is no command '{command}'" if command else "a command is missing"
-        known = ", ".join([*LIGHTNING_COMMANDS, *COMMANDS])
-        print(f"{program}: {given}; choose from {known}.", file=sys.stderr)
-        raise SystemExit(2)
-    options = _find_recipes(options)
     try:
-        if command in LIGHTNING_COMMANDS:
-            _run_lightning(program, command, options)
+        if command in ("-h", "--help"):
+            print(_help(program), flush=True)
+        elif command == "--version":
+            print(f"tsjepa {importlib.metadata.version('tsjepa')}")
+        elif command in LIGHTNING_COMMANDS:
+            _run_lightning(program, command, _find_recipes(options))
+        elif command in COMMANDS:
+            _run_function(program, command, _find_recipes(options))
         else:
-            _run_function(program, command, options)
+            given = f"there is no command '{command}'" if command else "a command is missing"
+            known = ", ".join([*LIGHTNING_COMMANDS, *COMMANDS])
+            print(f"{program}: {given}; choose from {known}.", file=sys.stderr)
+            return 2
     except KeyboardInterrupt:
         return 130
+    except BrokenPipeError:
+        # The reader of a pipe (`| head`) has gone; without this Python would complain again when it flushes at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
     except Exception as error:
         sentence = explain(error)
         if sentence is None or os.environ.get("TSJEPA_TRACEBACK") == "1":

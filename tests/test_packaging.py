@@ -1,0 +1,106 @@
+"""What a fresh installation gets: pins, commands, package data, make targets."""
+
+import ast
+import importlib.metadata
+import shutil
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+ROOT = Path(__file__).parent.parent
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+PINS = {canonicalize_name(pin.name): pin.specifier for pin in map(Requirement, PROJECT["dependencies"])}
+TARGETS = ["setup", "train-jepa", "train-actor", "data", "evaluate", "test", "lint", "help"]
+MODULE_NAMES = {
+    "cv2": "opencv-python-headless",
+    "dm_env": "dm-control",
+    "yaml": "jsonargparse",
+    "packaging": "lightning",
+}
+
+needs_make = pytest.mark.skipif(shutil.which("make") is None, reason="make is not installed")
+
+
+@pytest.mark.parametrize(
+    ("package", "good", "bad"),
+    [
+        ("mujoco", "3.17.0", "4.0.0"),
+        ("dm-control", "1.0.50", "1.0.51"),
+        ("tensordict", "0.14.3", "0.15.0"),
+        ("torchrl", "0.14.1", "0.15.0"),
+        ("lightning", "2.6.6", "2.7.0"),
+        ("torch", "2.13.0+cpu", "2.14.0"),
+    ],
+)
+def test_pins_admit_the_pair_that_works_and_not_the_one_that_breaks(package, good, bad):
+    assert PINS[package].contains(good)
+    assert not PINS[package].contains(bad)
+
+
+@pytest.mark.parametrize("package", PINS)
+def test_installed_packages_satisfy_the_pins(package):
+    assert PINS[package].contains(importlib.metadata.version(package), prereleases=True)
+
+
+def test_every_import_is_a_declared_dependency():
+    imported = set()
+    for path in (ROOT / "tsjepa").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Import):
+                imported |= {alias.name.split(".")[0] for alias in node.names}
+            elif isinstance(node, ast.ImportFrom) and node.level == 0:
+                imported.add(node.module.split(".")[0])
+    foreign = imported - set(sys.stdlib_module_names) - {"tsjepa"}
+    assert {canonicalize_name(MODULE_NAMES.get(name, name)) for name in foreign} <= set(PINS)
+
+
+@pytest.mark.parametrize("command", ["tsjepa", "lightning"])
+def test_commands_are_ours(command):
+    script = Path(sys.executable).parent / command
+    assert "from tsjepa.cli import" in script.read_text()
+
+
+def test_wheel_holds_code_model_recipes_and_zoo(tmp_path):
+    build = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(tmp_path)]
+    subprocess.run(build, cwd=ROOT, check=True, capture_output=True)
+    (wheel,) = tmp_path.glob("*.whl")
+    names = set(zipfile.ZipFile(wheel).namelist())
+    tracked = subprocess.run(
+        ["git", "ls-files", "tsjepa", "recipes", "checkpoints"], cwd=ROOT, check=True, capture_output=True, text=True
+    ).stdout.split()
+    assert "tsjepa/envs/cartpole.xml" in names
+    assert {name if name.startswith("tsjepa/") else f"tsjepa/{name}" for name in tracked} <= names
+    assert not any(name.startswith("tests/") for name in names)
+
+
+@needs_make
+def test_make_help_lists_the_targets():
+    done = subprocess.run(["make", "help"], cwd=ROOT, check=True, capture_output=True, text=True)
+    assert [line.split()[0] for line in done.stdout.splitlines()] == sorted(TARGETS, key=done.stdout.index)
+    assert all(f"{target} " in done.stdout for target in TARGETS)
+
+
+@needs_make
+def test_make_train_jepa_runs_the_whole_chain_with_the_recipe_asked_for():
+    dry_run = ["make", "-n", "train-jepa", "RECIPE=recipes/smoke.yaml"]
+    printed = subprocess.run(dry_run, cwd=ROOT, check=True, capture_output=True, text=True).stdout
+    steps = [printed.index(step) for step in ("fit --config recipes/smoke.yaml", "recipes/actor.yaml", "evaluate ")]
+    assert steps == sorted(steps)
+
+
+@needs_make
+def test_make_says_which_python_it_needs(tmp_path):
+    setup = ["make", "setup", f"VENV={tmp_path / 'venv'}", "PYTHON=/nonexistent/python"]
+    done = subprocess.run(setup, cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode != 0
+    assert "needs Python 3.10, 3.11 or 3.12" in done.stderr
