@@ -26,7 +26,7 @@ class Law:
 
 @dataclass(frozen=True)
 class Scenario:
-    """One InF scenario: its NLoS laws (the loss is the largest of them and LoS), and whether the BS tops the clutter."""
+    """One InF scenario: its NLoS laws (the loss is the largest of them and LoS), and if the BS tops the clutter."""
 
     nlos_laws: tuple[Law, ...]
     high_base_station: bool
