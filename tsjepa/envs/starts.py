@@ -9,6 +9,8 @@ import numpy as np
 
 from tsjepa.envs.streams import CART_COLOR, POLE_COLOR, START, uniforms
 
+DARKEST = 0.25
+
 
 @dataclasses.dataclass(frozen=True)
 class StartDistribution:
@@ -35,10 +37,10 @@ class StartDistribution:
 
 
 def draw_colors(seed: int, device: np.ndarray, episode: np.ndarray) -> np.ndarray:
-    """Uniform RGB in (0, 1) of cart and pole for N (device, episode) pairs; returns [N, 2, 3]."""
+    """Uniform RGB of cart and pole for N (device, episode) pairs, bright enough to be seen on black; returns [N, 2, 3]."""
     slot = np.zeros(1, np.int64)
     parts = [uniforms(seed, purpose, device, episode, slot)[..., :3] for purpose in (CART_COLOR, POLE_COLOR)]
-    return np.stack(parts, axis=-2)
+    return DARKEST + (1.0 - DARKEST) * np.stack(parts, axis=-2)
 
 
 def noise_std_pair(std: float | tuple[float, float]) -> np.ndarray:
