@@ -86,8 +86,7 @@ def test_wheel_holds_code_model_recipes_and_zoo(tmp_path):
 @needs_make
 def test_make_help_lists_the_targets():
     done = subprocess.run(["make", "help"], cwd=ROOT, check=True, capture_output=True, text=True)
-    assert [line.split()[0] for line in done.stdout.splitlines()] == sorted(TARGETS, key=done.stdout.index)
-    assert all(f"{target} " in done.stdout for target in TARGETS)
+    assert sorted(line.split()[0] for line in done.stdout.splitlines()) == sorted(TARGETS)
 
 
 @needs_make
