@@ -120,5 +120,7 @@ def test_bad_input_is_rejected(frames):
         FloatCodec(16).encode(torch.tensor([[1e6]]))
     with pytest.raises(ValueError, match="not finite"):
         AffineCodec(1).fit(torch.tensor([[0.0], [1.0]])).encode(torch.tensor([[float("nan")]]))
+    with pytest.raises(ValueError, match="vectors"):
+        FloatCodec().encode(frames)
     with pytest.raises(ValueError, match="fit needs"):
         AffineCodec(2).fit(torch.randn(4, 3))

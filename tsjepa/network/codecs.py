@@ -42,6 +42,7 @@ class FloatCodec(nn.Module):
         self.dtype = formats[bits]
 
     def encode(self, values: Tensor) -> Tensor:
+        _check_vectors(values)
         numbers = values.to(self.dtype).contiguous()
         if not bool(torch.isfinite(numbers).all()):
             raise ValueError(f"cannot send values that are not finite as {self.dtype}: largest is {values.abs().max()}")
@@ -80,6 +81,7 @@ class AffineCodec(nn.Module):
         return self
 
     def encode(self, values: Tensor) -> Tensor:
+        _check_vectors(values)
         step = self._step()
         if not bool(torch.isfinite(values).all()):
             raise ValueError("cannot send values that are not finite")
@@ -186,6 +188,11 @@ def make_codec(
     if name in ("png", "jpeg", "webp"):
         return ImageCodec(name, quality, frame_stack, height, width)
     raise ValueError(f"unknown codec {name!r}: choose fp32, fp16, int8, int4, state, raw, png, jpeg or webp")
+
+
+def _check_vectors(values: Tensor) -> None:
+    if values.ndim != 2 or not values.is_floating_point():
+        raise ValueError(f"expected vectors [N, d] of floats, got {values.dtype} {tuple(values.shape)}")
 
 
 def _check_frames(values: Tensor, shape: tuple[int, ...]) -> None:

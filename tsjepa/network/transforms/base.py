@@ -122,8 +122,9 @@ def number_spec(incoming: Composite, *shape: int, dtype: torch.dtype = torch.flo
     return Unbounded(shape=(*incoming.shape, *shape), dtype=dtype, device=incoming.device)
 
 
-def require_key(incoming: Composite, key: str, transform: str, writer: str) -> TensorSpec:
-    """The spec of ``key``, or a ``KeyError`` that says which transform to put in front."""
-    if key not in set(incoming.keys()):
+def require_key(container: Composite | TensorDictBase, key: str, transform: str, writer: str) -> TensorSpec | Tensor:
+    """The entry ``key`` of a spec or a tensordict, or a ``KeyError`` that says which transform to put in front."""
+    entry = container.get(key, None)
+    if entry is None:
         raise KeyError(f"{transform} reads {key!r}, which nothing in front of it writes: put {writer} before it")
-    return incoming[key]
+    return entry

@@ -45,22 +45,18 @@ class Camera(SlotTransform):
         self.frame_shape = (height, width, 3)
 
     def _specs(self, incoming: Composite) -> dict[str, TensorSpec]:
-        history = require_key(incoming, "qpos", "Camera", "a fleet").shape[-2]
+        self._first_frame(require_key(incoming, "qpos", "Camera", "a fleet"))
         require_key(incoming, "colors", "Camera", "a fleet")
-        needed = (self.frame_stack - 1) * self.frame_spacing + 1
-        if history < needed:
-            raise ValueError(
-                f"{self.frame_stack} frames {self.frame_spacing} slots apart need a frame_history of {needed}, "
-                f"the fleet keeps {history}"
-            )
         shape = (*incoming.shape, self.frame_stack, *self.frame_shape)
         return {"pixels": Bounded(0, 255, shape=shape, dtype=torch.uint8, device=incoming.device)}
 
     def _slot(self, previous: Values, current: TensorDictBase, fresh: Tensor | None) -> Values:
         rows = active_rows(current, "scheduled", fresh)
-        first = current["qpos"].shape[-2] - 1 - (self.frame_stack - 1) * self.frame_spacing
-        qpos = current["qpos"][rows][:, first :: self.frame_spacing]
-        colors = current["colors"][rows].unsqueeze(1).expand(-1, self.frame_stack, -1, -1)
+        history = require_key(current, "qpos", "Camera", "a fleet")
+        qpos = history[rows][:, self._first_frame(history) :: self.frame_spacing]
+        colors = (
+            require_key(current, "colors", "Camera", "a fleet")[rows].unsqueeze(1).expand(-1, self.frame_stack, -1, -1)
+        )
         shape = (qpos.shape[0], self.frame_stack, *self.frame_shape)
         if qpos.shape[0] == 0:
             frames = torch.empty(shape, dtype=torch.uint8, device=current.device)
@@ -68,6 +64,16 @@ class Camera(SlotTransform):
             pictures = self.render(qpos.flatten(0, 1).cpu().numpy(), colors.flatten(0, 1).cpu().numpy())
             frames = torch.from_numpy(pictures).view(shape).to(current.device)
         return {"pixels": scatter_rows(rows, frames)}
+
+    def _first_frame(self, qpos: TensorSpec | Tensor) -> int:
+        """Index of the oldest frame in the history."""
+        needed = (self.frame_stack - 1) * self.frame_spacing + 1
+        if qpos.shape[-2] < needed:
+            raise ValueError(
+                f"{self.frame_stack} frames {self.frame_spacing} slots apart need a frame_history of {needed}, "
+                f"the fleet keeps {qpos.shape[-2]}"
+            )
+        return qpos.shape[-2] - needed
 
 
 class Encode(SlotTransform):
@@ -96,14 +102,16 @@ class Encode(SlotTransform):
     def _specs(self, incoming: Composite) -> dict[str, TensorSpec]:
         spec = require_key(incoming, self.in_keys[0], "Encode", "the transform that makes it")
         sample = torch.zeros((1, *spec.shape[incoming.ndim :]), dtype=spec.dtype, device=incoming.device)
-        self._width = self._encode(sample).shape[-1]
-        return {self.out_keys[0]: number_spec(incoming, self._width)}
+        return {self.out_keys[0]: number_spec(incoming, self._encode(sample).shape[-1])}
 
     def _slot(self, previous: Values, current: TensorDictBase, fresh: Tensor | None) -> Values:
         rows = active_rows(current, self.mask_key, fresh)
-        values = current[self.in_keys[0]][rows]
-        nothing = torch.empty(0, self._width, device=current.device)
-        return {self.out_keys[0]: scatter_rows(rows, self._encode(values) if len(values) else nothing)}
+        source = require_key(current, self.in_keys[0], "Encode", "the transform that makes it")
+        if bool(rows.any()):
+            return {self.out_keys[0]: scatter_rows(rows, self._encode(source[rows]))}
+        # one blank sample tells the width of the module's output
+        blank = self._encode(torch.zeros_like(source.flatten(0, rows.ndim - 1)[:1]))
+        return {self.out_keys[0]: scatter_rows(rows, blank[:0])}
 
     @torch.no_grad()
     def _encode(self, values: Tensor) -> Tensor:

@@ -52,19 +52,22 @@ class Estimator(SlotTransform):
         self.register_buffer("initial", torch.as_tensor(initial, dtype=torch.float32))
 
     def _specs(self, incoming: Composite) -> dict[str, TensorSpec]:
-        spec = require_key(incoming, self.in_keys[0], "Estimator", "an Uplink (or set in_key)")
+        spec = self._source(incoming)
         return {"belief": number_spec(incoming, *spec.shape[incoming.ndim :]), "informed": flag_spec(incoming)}
 
     def _begin(self, before: Values, current: TensorDictBase) -> Values:
-        shape = current[self.in_keys[0]].shape
+        shape = self._source(current).shape
         return {
             "belief": self.initial.to(current.device).expand(shape).clone(),
             "informed": torch.zeros(current.batch_size, dtype=torch.bool, device=current.device),
         }
 
+    def _source(self, container: Composite | TensorDictBase) -> TensorSpec | Tensor:
+        return require_key(container, self.in_keys[0], "Estimator", "an Uplink (or set in_key)")
+
     @torch.no_grad()
     def _slot(self, previous: Values, current: TensorDictBase, fresh: Tensor | None) -> Values:
-        received = current[self.in_keys[0]].to(torch.float32)
+        received = self._source(current).to(torch.float32)
         delivered = active_rows(current, "delivered", None)
         belief = previous["belief"]
         if fresh is None:
@@ -100,14 +103,13 @@ class HoldCommand(SlotTransform):
 
     def _specs(self, incoming: Composite) -> dict[str, TensorSpec]:
         require_key(incoming, "delivered", "HoldCommand", "an Uplink")
-        self._command_shape = tuple(self.parent.action_spec.shape[incoming.ndim :])
-        return {"held_command": number_spec(incoming, *self._command_shape)}
+        return {"held_command": number_spec(incoming, *self.parent.action_spec.shape[incoming.ndim :])}
 
     def _begin(self, before: Values, current: TensorDictBase) -> Values:
-        shape = (*current.batch_size, *self._command_shape)
-        return {"held_command": torch.zeros(shape, device=current.device)}
+        return {"held_command": torch.zeros(self.parent.action_spec.shape, device=current.device)}
 
     def _slot(self, previous: Values, current: TensorDictBase, fresh: Tensor | None) -> Values:
+        require_key(current, "delivered", "HoldCommand", "an Uplink")
         applied = previous["action"]
         return {"held_command": previous["held_command"] if applied is None else applied.to(torch.float32)}
 

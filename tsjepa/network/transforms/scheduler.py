@@ -66,10 +66,8 @@ class Scheduler(SlotTransform):
     def _specs(self, incoming: Composite) -> dict[str, TensorSpec]:
         specs = {"scheduled": flag_spec(incoming), "scheduler_memory": number_spec(incoming, dtype=torch.float64)}
         if self.payload_bits is not None:
-            require_key(incoming, "snr", "Scheduler with payload_bits", "a Channel")
             specs["resource_units"] = number_spec(incoming, dtype=torch.int64)
         if self.csi == "delayed":
-            require_key(incoming, "snr", "Scheduler with delayed CSI", "a Channel")
             specs["snr_history"] = number_spec(incoming, self.csi_delay)
         return specs
 
@@ -80,7 +78,8 @@ class Scheduler(SlotTransform):
         start = {"scheduler_memory": memory, "scheduled": torch.zeros(shape, dtype=torch.bool, device=device)}
         start["resource_units"] = torch.zeros(shape, dtype=torch.int64, device=device)
         if self.csi == "delayed":
-            start["snr_history"] = current["mean_snr"].unsqueeze(-1).repeat_interleave(self.csi_delay, -1)
+            mean_snr = require_key(current, "mean_snr", "Scheduler with delayed CSI", "a Channel")
+            start["snr_history"] = mean_snr.unsqueeze(-1).repeat_interleave(self.csi_delay, -1)
         return start
 
     def _slot(self, previous: Values, current: TensorDictBase, fresh: Tensor | None) -> Values:
@@ -88,7 +87,7 @@ class Scheduler(SlotTransform):
         if age is None:
             age = torch.ones(current.batch_size, dtype=torch.int64, device=current.device)
         channel = self._knowledge(previous, current)
-        demand = None if self.payload_bits is None else self._demand(channel)
+        demand = None if self.payload_bits is None else self._demand(channel, current)
         budget = self.budget
         if fresh is not None and not bool(fresh.all()):
             channel = channel._replace(candidate=fresh)
@@ -119,6 +118,7 @@ class Scheduler(SlotTransform):
             success = success * (1.0 - loss_probability)
         return ChannelKnowledge(snr, success, above, everyone)
 
-    def _demand(self, channel: ChannelKnowledge) -> Tensor:
+    def _demand(self, channel: ChannelKnowledge, current: TensorDictBase) -> Tensor:
+        require_key(current, "snr", "Scheduler with payload_bits", "a Channel")
         known = channel.snr if self.csi == "perfect" else torch.zeros_like(channel.snr)
         return resource_units(self.payload_bits, known.clamp(min=self.snr_threshold))

@@ -41,7 +41,7 @@ class Codec(SlotTransform):
 
     def _slot(self, previous: Values, current: TensorDictBase, fresh: Tensor | None) -> Values:
         rows = active_rows(current, "scheduled", fresh)
-        source = current[self.in_keys[0]]
+        source = require_key(current, self.in_keys[0], "Codec", "the transform that makes it")
         packets = self.codec.encode(source[rows])
         decoded = self.codec.decode(packets).to(source)
         return {
@@ -93,7 +93,7 @@ class Uplink(SlotTransform):
             "age_of_information": number_spec(incoming, dtype=torch.int64),
         }
         if self.in_keys:
-            specs["received"] = require_key(incoming, self.in_keys[0], "Uplink", "a Codec (or set in_key)").clone()
+            specs["received"] = self._payload(incoming).clone()
         return specs
 
     def _begin(self, before: Values, current: TensorDictBase) -> Values:
@@ -103,7 +103,7 @@ class Uplink(SlotTransform):
             "age_of_information": torch.ones(shape, dtype=torch.int64, device=device),
         }
         if self.in_keys:
-            start["received"] = torch.zeros_like(current[self.in_keys[0]])
+            start["received"] = torch.zeros_like(self._payload(current))
         return start
 
     def _slot(self, previous: Values, current: TensorDictBase, fresh: Tensor | None) -> Values:
@@ -112,11 +112,14 @@ class Uplink(SlotTransform):
         refreshed = delivered if self.aoi_reset == "delivery" else scheduled
         values = {"delivered": delivered, "age_of_information": next_age(previous["age_of_information"], refreshed)}
         if self.in_keys:
-            payload, last = current[self.in_keys[0]], previous["received"]
+            payload, last = self._payload(current), previous["received"]
             values["received"] = select(
                 delivered, payload, last if self.when_lost == "hold" else torch.zeros_like(last)
             )
         return values
+
+    def _payload(self, container: Composite | TensorDictBase) -> TensorSpec | Tensor:
+        return require_key(container, self.in_keys[0], "Uplink", "a Codec (or set in_key=None)")
 
     def _decodable(self, current: TensorDictBase) -> Tensor:
         decodable = torch.ones(current.batch_size, dtype=torch.bool, device=current.device)
