@@ -31,8 +31,8 @@ class View:
     supersampling: int
 
 
-# A rolled camera meets every edge at many sub-pixel phases, and four samples on a doubled grid make sixteen a pixel: two
-# frames 40 ms apart then give velocity to 5 mm/s, against 35 for an upright view with four samples and 49 with none.
+# A rolled camera meets every edge at many sub-pixel phases, and four samples on a doubled grid make sixteen a pixel:
+# two frames 40 ms apart then give velocity to 5 mm/s, against 35 for an upright view with four samples, 49 with none.
 # The width just holds the cart and the leaning pole at |x| <= 1.3 m, |theta| <= 0.35 rad.
 VIEW = View(fovy=24.0, position=(0.04, -4.0, 1.45), roll=5.0, samples=4, supersampling=2)
 

@@ -10,9 +10,9 @@ from torchrl.envs import EnvBase
 
 from tsjepa.envs.camera import DEFAULT_COLORS, Renderer
 from tsjepa.envs.dynamics import FORCE_LIMIT, Dynamics, check_force
+from tsjepa.envs.score import has_failed, in_box
 from tsjepa.envs.starts import StartDistribution, draw_colors, noise_std_pair
 from tsjepa.envs.streams import NOISE, normals
-from tsjepa.envs.task import has_failed, in_box
 
 DONE_KEYS = ("done", "terminated", "truncated")
 
@@ -20,9 +20,9 @@ DONE_KEYS = ("done", "terminated", "truncated")
 class FleetEnv(EnvBase):
     """I cart-poles, the last batch dimension, that step together and reset on their own.
 
-    Nothing is rendered here: `qpos` holds what a camera needs, and `renderer` draws it. Everything a step needs is in the
-    tensordict (`physics_state`, `episode`, `slot`), so a copy of it can be stepped on as a branch. Random numbers are
-    counter-based: those of device i depend on the seed, i, its episode and its slot, never on the other devices.
+    Nothing is rendered here: `qpos` holds what a camera needs, and `renderer` draws it. Everything a step needs is in
+    the tensordict (`physics_state`, `episode`, `slot`), so a copy of it can be stepped on as a branch. Random numbers
+    are counter-based: those of device i depend on the seed, i, its episode and its slot, never on the other devices.
 
     Keys written: `state` [*B, 4] float32 (m, rad, m/s, rad/s); `qpos` [*B, frame_history, 2] float32, the newest last;
     `colors` [*B, 2, 3] float32 RGB of cart and pole; `reward` [*B, 1], 1 in the box; `done`, `terminated`, `truncated`
@@ -113,7 +113,7 @@ class FleetEnv(EnvBase):
         return state
 
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs) -> TensorDictBase:
-        if tensordict is not None and "_reset" in tensordict.keys():
+        if tensordict is not None and "_reset" in tensordict:
             chosen = tensordict["_reset"].reshape(-1).numpy()
         else:
             chosen = np.ones(self.numel(), bool)

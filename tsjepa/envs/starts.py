@@ -37,7 +37,7 @@ class StartDistribution:
 
 
 def draw_colors(seed: int, device: np.ndarray, episode: np.ndarray) -> np.ndarray:
-    """Uniform RGB of cart and pole for N (device, episode) pairs, bright enough to be seen on black; returns [N, 2, 3]."""
+    """Uniform RGB of cart and pole [N, 2, 3] for N (device, episode) pairs, bright enough to show on black."""
     slot = np.zeros(1, np.int64)
     parts = [uniforms(seed, purpose, device, episode, slot)[..., :3] for purpose in (CART_COLOR, POLE_COLOR)]
     return DARKEST + (1.0 - DARKEST) * np.stack(parts, axis=-2)
