@@ -1,0 +1,1 @@
+"""Collection of pixel trajectories, the data set on disk, augmentation and the LightningDataModules."""

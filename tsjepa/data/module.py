@@ -1,0 +1,93 @@
+"""LightningDataModules over the data set on disk; they collect it when it is absent."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import lightning
+from tensordict import TensorDictBase
+from torch.utils.data import DataLoader
+
+from tsjepa.data.storage import METADATA, open_split, read_metadata
+from tsjepa.data.windows import WindowDataset, WindowSampler
+
+
+def as_is(batch):
+    """Collate function for batches that the data set has already put together."""
+    return batch
+
+
+class Trajectories(lightning.LightningDataModule):
+    """Windows of consecutive frames and commands for TS-JEPA.
+
+    Args:
+        path: folder of the data set.
+        collect: recipe that collects the data set when ``path`` does not exist.
+        frame_stack: kappa.
+        frame_spacing: slots between the frames of a stack; 2 or 3 double or triple what a velocity moves in the picture.
+        stacks: stacks per window.
+        frames_per_batch: context frames a step, over all processes (256 in the paper).
+        steps: slots between the stacks of a window, drawn per batch.
+        episodes: use only the first so many training trajectories; None for all.
+        seed: seed of the windows' own stream.
+    """
+
+    def __init__(
+        self,
+        path: str = "data/cartpole-20ms",
+        collect: str = "recipes/data.yaml",
+        frame_stack: int = 2,
+        frame_spacing: int = 2,
+        stacks: int = 8,
+        frames_per_batch: int = 256,
+        steps: Sequence[int] = (1, 1, 2, 4),
+        episodes: int | None = None,
+        seed: int = 0,
+    ) -> None:
+        super().__init__()
+        if frames_per_batch % stacks:
+            raise ValueError(f"frames_per_batch = {frames_per_batch} is not a multiple of stacks = {stacks}.")
+        self.path, self.recipe = Path(path), Path(collect)
+        self.frame_stack, self.frame_spacing, self.stacks = frame_stack, frame_spacing, stacks
+        self.frames_per_batch, self.steps, self.episodes, self.seed = frames_per_batch, steps, episodes, seed
+
+    @property
+    def first_slot(self) -> int:
+        """First slot with a whole stack behind it."""
+        return (self.frame_stack - 1) * self.frame_spacing
+
+    def prepare_data(self) -> None:
+        if (self.path / METADATA).is_file():
+            return
+        if not self.recipe.is_file():
+            raise FileNotFoundError(f"There is no data set in {self.path} and no recipe {self.recipe} to collect it with.")
+        from tsjepa.cli import run_command
+
+        run_command("collect", ["--config", str(self.recipe), "--path", str(self.path)])
+
+    def setup(self, stage: str | None = None) -> None:
+        self.metadata = read_metadata(self.path)
+
+    def split(self, name: str) -> TensorDictBase:
+        """One split, memory-mapped; [episodes, T + 1]."""
+        return open_split(self.path, name)
+
+    def train_dataloader(self) -> DataLoader:
+        split = self.split("train")[: self.episodes]
+        rank, world_size = (self.trainer.global_rank, self.trainer.world_size) if self.trainer else (0, 1)
+        windows = self.frames_per_batch // self.stacks
+        sampler = WindowSampler(
+            *split.batch_size, self.first_slot, self.stacks, windows, self.steps, self.seed, rank, world_size
+        )
+        dataset = WindowDataset(split, self.stacks, self.frame_stack, self.frame_spacing)
+        return DataLoader(dataset, sampler=sampler, batch_size=None, collate_fn=as_is)
+
+    def val_dataloader(self) -> DataLoader:
+        """One batch: the whole validation split, as it lies on disk."""
+        return DataLoader([self.split("validation")], batch_size=None, collate_fn=as_is)
+
+    def test_dataloader(self) -> DataLoader:
+        return DataLoader([self.split("test")], batch_size=None, collate_fn=as_is)
+
+    predict_dataloader = test_dataloader

@@ -1,0 +1,116 @@
+"""Training windows: which frames and commands make one batch, as a pure function of (seed, epoch, index)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+from torch.utils.data import Dataset, Sampler
+
+
+@dataclass(frozen=True)
+class Window:
+    """Rows of one batch of windows.
+
+    Args:
+        episode: [B] int64.
+        start: [B] int64, slot of the newest frame of the window's first stack.
+        step: slots between two stacks of the window.
+    """
+
+    episode: Tensor
+    start: Tensor
+    step: int
+
+
+class WindowSampler(Sampler[Window]):
+    """Shuffles all windows anew every epoch; a resumed run draws what the interrupted one would have drawn.
+
+    A batch takes every window's stacks ``step`` slots apart, one step a batch, so that long horizons are seen without
+    encoding more frames. Under data parallelism every process takes its share of each batch.
+
+    Args:
+        episodes: number of trajectories.
+        frames: frames per trajectory, T + 1.
+        first: first slot that has a whole stack behind it.
+        stacks: stacks per window, W.
+        windows_per_batch: B, over all processes.
+        steps: the steps to draw from, each as likely as it is listed.
+        seed: seed of the sampler's own stream.
+        rank, world_size: this process among all.
+        shuffle: draw anew every epoch; otherwise the order of the data, with ``steps[0]``.
+    """
+
+    def __init__(
+        self,
+        episodes: int,
+        frames: int,
+        first: int,
+        stacks: int,
+        windows_per_batch: int,
+        steps: Sequence[int],
+        seed: int,
+        rank: int = 0,
+        world_size: int = 1,
+    ) -> None:
+        span = max(steps) * (stacks - 1)
+        if first + span >= frames:
+            raise ValueError(
+                f"{stacks} stacks {max(steps)} slots apart need {first + span + 1} frames and the trajectories have "
+                f"{frames}; take fewer stacks or smaller steps."
+            )
+        if windows_per_batch % world_size:
+            raise ValueError(f"{windows_per_batch} windows a batch do not divide among {world_size} processes.")
+        self.episodes, self.frames, self.first, self.stacks = episodes, frames, first, stacks
+        self.windows_per_batch, self.steps, self.seed = windows_per_batch, list(steps), seed
+        self.rank, self.world_size = rank, world_size
+        self.epoch = 0
+
+    def set_epoch(self, epoch: int) -> None:
+        """Called by Lightning at the start of every epoch."""
+        self.epoch = epoch
+
+    def __len__(self) -> int:
+        # one epoch shows every frame about once, whatever the window's length
+        return max(1, self.episodes * (self.frames - self.first) // (self.windows_per_batch * self.stacks))
+
+    def __iter__(self) -> Iterator[Window]:
+        generator = torch.Generator().manual_seed(self.seed * 1_000_003 + self.epoch)
+        for _ in range(len(self)):
+            step = self.steps[int(torch.randint(len(self.steps), (), generator=generator))]
+            last = self.frames - step * (self.stacks - 1)
+            episode = torch.randint(self.episodes, (self.windows_per_batch,), generator=generator)
+            start = torch.randint(self.first, last, (self.windows_per_batch,), generator=generator)
+            yield Window(episode[self.rank :: self.world_size], start[self.rank :: self.world_size], step)
+
+
+class WindowDataset(Dataset):
+    """Gathers the frames and commands of a :class:`Window` from a split.
+
+    Args:
+        split: batch size [episodes, T + 1], keys ``pixels`` and ``action``.
+        stacks: W.
+        frame_stack: kappa.
+        frame_spacing: slots between the frames of a stack.
+    """
+
+    def __init__(self, split: TensorDictBase, stacks: int, frame_stack: int, frame_spacing: int) -> None:
+        episodes, frames = split.batch_size
+        # plain tensors over the memory map: indexing them copies only the rows asked for
+        self.pixels = torch.from_numpy(split["pixels"].numpy()).view(episodes * frames, *split["pixels"].shape[2:])
+        self.action = split["action"].view(episodes * frames, 1).clone()
+        self.frames, self.stacks = frames, stacks
+        self.offsets = frame_spacing * torch.arange(1 - frame_stack, 1)
+
+    def __getitem__(self, window: Window) -> TensorDict:
+        """Batch [B] with ``frames`` uint8 [W, kappa, H, W, 3] and ``commands`` [step * (W - 1), 1] in newtons."""
+        newest = window.episode * self.frames + window.start
+        stacks = newest[:, None] + window.step * torch.arange(self.stacks)
+        slots = newest[:, None] + torch.arange(window.step * (self.stacks - 1))
+        return TensorDict(
+            {"frames": self.pixels[stacks[..., None] + self.offsets], "commands": self.action[slots]},
+            batch_size=[len(newest)],
+        )

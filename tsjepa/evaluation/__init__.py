@@ -1,0 +1,1 @@
+"""Closed-loop scores, prediction horizons, metrics and figures."""

@@ -1,0 +1,137 @@
+"""The context encoder: a stack of frames to one embedding on the unit sphere."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+# ImageNet statistics, as the paper's "Normalization" step prints them.
+PIXEL_MEAN = (0.485, 0.456, 0.406)
+PIXEL_STD = (0.229, 0.224, 0.225)
+
+
+PATCH = 4  # pixels; the stem sees the picture as patches of this side
+
+
+def patchify(frames: Tensor) -> Tensor:
+    """Rearranges stacks of frames into patches, without arithmetic.
+
+    Args:
+        frames: [N, frame_stack, H, W, 3], any dtype.
+
+    Returns:
+        [N, H / 4, W / 4, frame_stack * 48]; the channels run over frame, row, column, colour.
+    """
+    count, stack, height, width, colors = frames.shape
+    rows = frames.reshape(count, stack, height // PATCH, PATCH, width // PATCH, PATCH * colors)
+    # stacking the few row slices copies runs of 12 bytes and is three times faster than one six-axis permutation
+    slices = [rows[:, frame, :, row] for frame in range(stack) for row in range(PATCH)]
+    return torch.stack(slices, dim=3).flatten(3)
+
+
+class ResidualBlock(nn.Module):
+    """Two 3x3 convolutions with batch normalisation and a projected shortcut (He et al., 2016)."""
+
+    def __init__(self, in_channels: int, out_channels: int, stride: int) -> None:
+        super().__init__()
+        self.conv1 = nn.Conv2d(in_channels, out_channels, 3, stride, 1, bias=False)
+        self.norm1 = nn.BatchNorm2d(out_channels)
+        self.conv2 = nn.Conv2d(out_channels, out_channels, 3, 1, 1, bias=False)
+        self.norm2 = nn.BatchNorm2d(out_channels)
+        self.shortcut = nn.Sequential(
+            nn.Conv2d(in_channels, out_channels, 1, stride, bias=False), nn.BatchNorm2d(out_channels)
+        )
+
+    def forward(self, x: Tensor) -> Tensor:
+        y = F.relu(self.norm1(self.conv1(x)))
+        return F.relu(self.norm2(self.conv2(y)) + self.shortcut(x))
+
+
+class RunningCentre(nn.Module):
+    """Subtracts the mean over the batch while training and its running average afterwards.
+
+    Without it all embeddings share one large component, to which a cosine then pays most attention; batch normalisation
+    would also centre, but lifts every unpredictable direction to the variance of the others.
+    """
+
+    def __init__(self, dimension: int, momentum: float = 0.1) -> None:
+        super().__init__()
+        self.momentum = momentum
+        self.register_buffer("mean", torch.zeros(dimension))
+
+    def forward(self, features: Tensor) -> Tensor:
+        if not self.training:
+            return features - self.mean
+        mean = features.mean(0)
+        self.mean.lerp_(mean.detach(), self.momentum)
+        return features - mean
+
+
+class Encoder(nn.Module):
+    """Residual network with three stages, flattened (pooling loses the cart's position) and projected to ``d``.
+
+    The stem rearranges the picture into 4x4 patches and runs a 3x3 convolution over them, that is a 12x12 kernel at stride 4.
+    On a CPU it costs a fifth of a 7x7 stride-2 stem with pooling, and it reads position as well.
+
+    Args:
+        frame_stack: frames per embedding (kappa of the paper), stacked on channels, oldest first.
+        widths: channels of the three stages; the paper prints 64, 128, 256.
+        embedding_dim: d.
+        height: frame height in pixels.
+        width: frame width in pixels.
+    """
+
+    def __init__(
+        self,
+        frame_stack: int = 2,
+        widths: tuple[int, int, int] = (64, 128, 256),
+        embedding_dim: int = 256,
+        height: int = 64,
+        width: int = 128,
+    ) -> None:
+        super().__init__()
+        self.frame_shape = (frame_stack, height, width, 3)
+        self.embedding_dim, self.widths = embedding_dim, tuple(widths)
+        first, second, third = widths
+        self.stem = nn.Sequential(
+            nn.Conv2d(3 * PATCH**2 * frame_stack, first, 3, padding=1, bias=False), nn.BatchNorm2d(first), nn.ReLU()
+        )
+        self.stages = nn.Sequential(
+            ResidualBlock(first, first, 2), ResidualBlock(first, second, 2), ResidualBlock(second, third, 2)
+        )
+        self.project = nn.Linear(third * (height // 32) * (width // 32), embedding_dim, bias=False)
+        self.centre = RunningCentre(embedding_dim)
+        mean, std = torch.tensor(PIXEL_MEAN), torch.tensor(PIXEL_STD)
+        self.register_buffer("pixel_scale", (1 / (255 * std)).repeat(PATCH**2 * frame_stack), persistent=False)
+        self.register_buffer("pixel_shift", (-mean / std).repeat(PATCH**2 * frame_stack), persistent=False)
+        self.to(memory_format=torch.channels_last)
+
+    def normalize(self, frames: Tensor) -> Tensor:
+        """uint8 frames [N, frame_stack, H, W, 3] to normalised patches [N, H / 4, W / 4, 48 * frame_stack]."""
+        return patchify(frames).to(self.pixel_scale.dtype) * self.pixel_scale + self.pixel_shift
+
+    def embed(self, patches: Tensor) -> Tensor:
+        """Normalised patches [N, H / 4, W / 4, 48 * frame_stack] to embeddings [N, d] of unit length, float32."""
+        features = self.stages(self.stem(patches.permute(0, 3, 1, 2))).permute(0, 2, 3, 1).flatten(1)
+        return F.normalize(self.centre(self.project(features).float()), dim=-1)
+
+    def forward(self, frames: Tensor) -> Tensor:
+        """Embeds stacks of frames.
+
+        Args:
+            frames: uint8 [..., frame_stack, H, W, 3], oldest frame first.
+
+        Returns:
+            Embeddings [..., d] of unit length.
+
+        Raises:
+            ValueError: the dtype is not uint8 or the trailing shape is not the encoder's.
+        """
+        if frames.dtype != torch.uint8 or tuple(frames.shape[-4:]) != self.frame_shape:
+            raise ValueError(
+                f"The encoder takes uint8 frames of shape [..., {', '.join(map(str, self.frame_shape))}] "
+                f"(frame_stack, H, W, 3), not {frames.dtype} {list(frames.shape)}; stack the frames oldest first."
+            )
+        embedding = self.embed(self.normalize(frames.reshape(-1, *self.frame_shape)))
+        return embedding.reshape(*frames.shape[:-4], self.embedding_dim)

@@ -1,0 +1,1 @@
+"""LightningModules, one per thing trained, with their losses and callbacks."""

@@ -1,0 +1,114 @@
+"""The semantic actor, trained by imitation on frozen embeddings, received and rolled out (paper eq. eq_opt_problem_2)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import lightning
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+
+from tsjepa import zoo
+from tsjepa.models import SemanticController
+from tsjepa.models.actor import COMMAND_LIMIT
+from tsjepa.training.embeddings import embed_split
+from tsjepa.training.jepa import warmup_cosine
+
+
+@torch.no_grad()
+def imitation_pairs(model: SemanticController, data: TensorDictBase, horizons: Sequence[int]) -> TensorDict:
+    """Embeddings with the true state and the expert's command, received (horizon 0) and predicted that many slots ahead.
+
+    Without the predicted ones the actor meets them first in the loop (paper-notes, decision 3b).
+
+    Args:
+        model: source of the predictor.
+        data: [episodes, slots] with ``embedding``, ``action``, ``expert_action``, ``state``.
+        horizons: in slots; one listed twice counts twice.
+
+    Returns:
+        [pairs] with ``embedding``, ``expert_action``, ``state``.
+
+    Raises:
+        ValueError: a horizon is as long as the trajectories.
+    """
+    slots = data.batch_size[1]
+    if max(horizons) >= slots:
+        raise ValueError(f"A horizon of {max(horizons)} slots does not fit into trajectories of {slots}; take a shorter one.")
+    parts, predicted = [], data["embedding"]
+    for ahead in range(max(horizons) + 1):
+        if ahead:
+            predicted = model.predictor(predicted[:, : slots - ahead], data["action"][:, ahead - 1 : slots - 1])
+        truth = data.select("expert_action", "state")[:, ahead:]
+        pairs = TensorDict({"embedding": predicted, **truth}, batch_size=truth.batch_size).flatten(0, 1)
+        parts += [pairs] * list(horizons).count(ahead)
+    return torch.cat(parts)
+
+
+class SemanticActor(lightning.LightningModule):
+    """Fits the actor to the expert's command and, beside it, the state probe to the true state.
+
+    Encoder and predictor stay frozen; the probe shares nothing with the actor and is there to look inside.
+
+    Args:
+        pretrained: name or folder of the zoo entry whose encoder and predictor are used; its actor and probe are replaced.
+        hidden_dims: widths of the actor's hidden layers.
+        dropout: of the actor.
+        learning_rate: peak; warm-up and cosine decay as in TS-JEPA.
+        weight_decay: of AdamW.
+        seed: seed of the dropout's stream.
+    """
+
+    def __init__(
+        self,
+        pretrained: str,
+        hidden_dims: tuple[int, int] = (1024, 256),
+        dropout: float = 0.2,
+        learning_rate: float = 6e-3,
+        weight_decay: float = 1e-4,
+        seed: int = 0,
+    ) -> None:
+        super().__init__()
+        self.learning_rate, self.weight_decay, self.seed = learning_rate, weight_decay, seed
+        frozen = zoo.load(pretrained)
+        self.model = SemanticController(replace(frozen.architecture, actor_hidden_dims=tuple(hidden_dims)), dropout)
+        self.model.encoder.load_state_dict(frozen.encoder.state_dict())
+        self.model.predictor.load_state_dict(frozen.predictor.state_dict())
+        self.model.encoder.requires_grad_(False)
+        self.model.predictor.requires_grad_(False)
+
+    def train(self, mode: bool = True) -> SemanticActor:
+        super().train(mode)
+        self.model.encoder.eval()
+        return self
+
+    def controller(self) -> SemanticController:
+        """The complete controller."""
+        return self.model
+
+    def on_train_epoch_start(self) -> None:
+        # dropout draws from the global stream: seeding it by epoch makes a resumed run repeat the interrupted one
+        torch.manual_seed(self.seed * 1_000_003 + self.current_epoch)
+
+    def training_step(self, batch: TensorDictBase, batch_index: int) -> Tensor:
+        command = self.model.actor.unclipped(batch["embedding"])
+        imitation = ((command - batch["expert_action"]) / COMMAND_LIMIT).square().mean()
+        probe = self.model.probe
+        probing = ((probe(batch["embedding"]) - batch["state"]) / probe.state_std).square().mean()
+        self.log_dict({"imitation_loss": imitation, "probe_loss": probing}, prog_bar=True)
+        return imitation + probing
+
+    def validation_step(self, batch: TensorDictBase, batch_index: int) -> None:
+        error = (self.model.act(batch["embedding"]) - batch["expert_action"]).abs().mean()
+        self.log("val/command_nmae", error / (2 * COMMAND_LIMIT), prog_bar=True)
+        rmse = (self.model.probe(batch["embedding"]) - batch["state"]).square().mean(0).sqrt()
+        self.log_dict({f"val/probe_{name}": value for name, value in zip(("x", "theta", "x_dot", "theta_dot"), rmse)})
+
+    def configure_optimizers(self):
+        parameters = [*self.model.actor.parameters(), *self.model.probe.parameters()]
+        optimizer = torch.optim.AdamW(parameters, self.learning_rate, weight_decay=self.weight_decay)
+        total = self.trainer.estimated_stepping_batches
+        schedule = torch.optim.lr_scheduler.LambdaLR(optimizer, lambda step: warmup_cosine(step / total))
+        return {"optimizer": optimizer, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}

@@ -1,0 +1,26 @@
+"""Callbacks that recipes attach by their class path."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import lightning
+
+from tsjepa import zoo
+
+
+class ExportModel(lightning.Callback):
+    """Writes the module's controller as a zoo entry when the fit ends, so that a run's result loads like any other.
+
+    Args:
+        folder: of the entry; ``tsjepa.load`` takes it.
+    """
+
+    def __init__(self, folder: str) -> None:
+        self.folder = Path(folder)
+
+    def on_fit_end(self, trainer: lightning.Trainer, module: lightning.LightningModule) -> None:
+        if trainer.is_global_zero:
+            metrics = {name: float(value) for name, value in trainer.callback_metrics.items()}
+            zoo.save(module.controller(), self.folder, metrics)
+            print(f"Model written to {self.folder}.")

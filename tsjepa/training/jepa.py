@@ -1,0 +1,159 @@
+"""TS-JEPA: context encoder, EMA target encoder and predictor trained together (paper, algorithm 1)."""
+
+from __future__ import annotations
+
+import math
+
+import lightning
+import torch
+from lightning.pytorch.cli import LRSchedulerCallable, OptimizerCallable
+from tensordict import TensorDictBase
+from torch import Tensor
+from torch.optim.lr_scheduler import LambdaLR
+from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
+
+from tsjepa.data.augmentation import Augmentation
+from tsjepa.models import Architecture, Encoder, Predictor, SemanticController
+from tsjepa.training.losses import InverseDynamics, cosine_loss, covariance_loss, variance_loss
+
+
+class TSJEPA(lightning.LightningModule):
+    """Predicts the target encoder's embeddings of later frames from one embedding and the commands in between.
+
+    Each frame of a window is encoded once by the context encoder and once by the target encoder, and serves as context for
+    every later frame and as target for every earlier one.
+
+    Args:
+        encoder: the context encoder.
+        predictor: one step of embedding dynamics.
+        augmentation: applied to every window with its own draw.
+        optimizer: from parameters to optimizer.
+        scheduler: from optimizer to a schedule that steps once an epoch; None for linear warm-up over the first 5 % of all
+            steps and cosine decay to zero.
+        ema_decay: eta of the paper's eq. eq_weights_update.
+        variance_weight: weight of the variance term (0 in the paper).
+        covariance_weight: weight of the covariance term (0 in the paper).
+        inverse_weight: weight of the inverse-dynamics term (0 in the paper).
+        seed: seed of the augmentation's own stream.
+    """
+
+    def __init__(
+        self,
+        encoder: Encoder,
+        predictor: Predictor,
+        augmentation: Augmentation,
+        optimizer: OptimizerCallable = torch.optim.AdamW,
+        scheduler: LRSchedulerCallable | None = None,
+        ema_decay: float = 0.99,
+        variance_weight: float = 0.1,
+        covariance_weight: float = 0.01,
+        inverse_weight: float = 1.0,
+        seed: int = 0,
+    ) -> None:
+        super().__init__()
+        self.encoder, self.predictor, self.augmentation = encoder, predictor, augmentation
+        self.target_encoder = AveragedModel(encoder, multi_avg_fn=get_ema_multi_avg_fn(ema_decay), use_buffers=True)
+        self.target_encoder.requires_grad_(False)
+        self.inverse_dynamics = InverseDynamics(encoder.embedding_dim)
+        self.optimizer, self.scheduler = optimizer, scheduler
+        self.variance_weight, self.covariance_weight = variance_weight, covariance_weight
+        self.inverse_weight, self.seed = inverse_weight, seed
+
+    def train(self, mode: bool = True) -> TSJEPA:
+        super().train(mode)
+        self.target_encoder.eval()
+        return self
+
+    def on_fit_start(self) -> None:
+        commands = self.trainer.datamodule.split("train")["action"][:, :-1]
+        self.predictor.command_mean.copy_(commands.mean())
+        self.predictor.command_std.copy_(commands.std())
+
+    def training_step(self, batch: TensorDictBase, batch_index: int) -> Tensor:
+        frames, commands = batch["frames"], batch["commands"]
+        windows, stacks = frames.shape[:2]
+        generator = torch.Generator().manual_seed(self.seed * 1_000_003 + self.global_step)
+        patches = self.augmentation(frames.flatten(0, 1), generator, shared=stacks)
+        embedding = self.encoder.embed(patches).unflatten(0, (windows, stacks))
+        with torch.no_grad():
+            target = self.target_encoder.module.embed(patches).unflatten(0, (windows, stacks))
+        gap = commands.shape[1] // (stacks - 1)
+        terms = {"prediction_loss": self.prediction_loss(embedding, target, commands, gap)}
+        loss = terms["prediction_loss"]
+        flat = embedding.flatten(0, 1)
+        if self.variance_weight:
+            terms["variance_loss"] = variance_loss(flat)
+            loss = loss + self.variance_weight * terms["variance_loss"]
+        if self.covariance_weight:
+            terms["covariance_loss"] = covariance_loss(flat)
+            loss = loss + self.covariance_weight * terms["covariance_loss"]
+        if self.inverse_weight:
+            terms["inverse_loss"] = self.inverse_loss(embedding, commands, gap)
+            loss = loss + self.inverse_weight * terms["inverse_loss"]
+        self.log_dict(terms)
+        self.log("loss", loss, prog_bar=True)
+        return loss
+
+    def prediction_loss(self, embedding: Tensor, target: Tensor, commands: Tensor, gap: int) -> Tensor:
+        """Cosine loss of every roll-out from every stack of a window to every later one.
+
+        Args:
+            embedding, target: [B, W, d].
+            commands: [B, gap * (W - 1), 1].
+            gap: slots between neighbouring stacks.
+        """
+        stacks = embedding.shape[1]
+        commands = commands.unflatten(1, (stacks - 1, gap))
+        losses, predicted = [], embedding
+        for ahead in range(1, stacks):
+            predicted = predicted[:, : stacks - ahead]
+            for slot in range(gap):
+                predicted = self.predictor(predicted, commands[:, ahead - 1 :, slot])
+            losses.append(cosine_loss(predicted, target[:, ahead:]))
+        return torch.stack(losses).mean()
+
+    def inverse_loss(self, embedding: Tensor, commands: Tensor, gap: int) -> Tensor:
+        """Squared error of the z-scored mean command between neighbouring stacks."""
+        commands = (commands - self.predictor.command_mean) / self.predictor.command_std
+        mean = commands.unflatten(1, (embedding.shape[1] - 1, gap)).mean(2)
+        return (self.inverse_dynamics(embedding[:, :-1], embedding[:, 1:], gap) - mean).square().mean()
+
+    def on_train_batch_end(self, outputs, batch: TensorDictBase, batch_index: int) -> None:
+        self.target_encoder.update_parameters(self.encoder)
+
+    def controller(self) -> SemanticController:
+        """Encoder and predictor as a controller whose actor and probe are yet to be trained."""
+        data = self.trainer.datamodule
+        model = SemanticController(
+            Architecture(
+                frame_stack=self.encoder.frame_shape[0],
+                frame_spacing=data.frame_spacing,
+                widths=self.encoder.widths,
+                embedding_dim=self.encoder.embedding_dim,
+                predictor_hidden_dim=self.predictor.hidden.out_features,
+                predictor_residual=self.predictor.residual,
+                sampling_interval=data.metadata["sampling_interval"],
+            )
+        )
+        model.encoder.load_state_dict(self.encoder.state_dict())
+        model.predictor.load_state_dict(self.predictor.state_dict())
+        return model
+
+    def validation_step(self, batch: TensorDictBase, batch_index: int) -> None:
+        """Embeds the split; metrics are the callback's (:class:`tsjepa.training.monitor.RepresentationMonitor`)."""
+
+    def configure_optimizers(self):
+        parameters = [parameter for parameter in self.parameters() if parameter.requires_grad]
+        optimizer = self.optimizer(parameters)
+        if self.scheduler is not None:
+            return {"optimizer": optimizer, "lr_scheduler": {"scheduler": self.scheduler(optimizer), "interval": "epoch"}}
+        total = self.trainer.estimated_stepping_batches
+        schedule = LambdaLR(optimizer, lambda step: warmup_cosine(step / total))
+        return {"optimizer": optimizer, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}
+
+
+def warmup_cosine(progress: float, warmup: float = 0.05) -> float:
+    """Learning-rate factor at ``progress`` in [0, 1]: linear warm-up, then cosine decay to zero."""
+    if progress < warmup:
+        return (progress + 1e-3) / (warmup + 1e-3)
+    return 0.5 * (1 + math.cos(math.pi * min(1.0, (progress - warmup) / (1 - warmup))))

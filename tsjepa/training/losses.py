@@ -1,0 +1,47 @@
+"""Loss terms over unit-length embeddings."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+
+def cosine_loss(prediction: Tensor, target: Tensor) -> Tensor:
+    """Mean of 1 - cosine similarity over all leading dimensions (paper eq. eq_opt_problem with the sign put right)."""
+    return 1 - F.cosine_similarity(prediction, target, dim=-1).mean()
+
+
+def variance_loss(embedding: Tensor) -> Tensor:
+    """Hinge on the standard deviation of each dimension of ``embedding`` [N, d], scaled so that isotropy gives one (VICReg)."""
+    scaled = embedding * embedding.shape[-1] ** 0.5
+    return F.relu(1 - (scaled.var(0) + 1e-4).sqrt()).mean()
+
+
+def covariance_loss(embedding: Tensor) -> Tensor:
+    """Sum of squared off-diagonal covariances of ``embedding`` [N, d] over d, scaled like :func:`variance_loss` (VICReg)."""
+    count, dimension = embedding.shape
+    centred = (embedding - embedding.mean(0)) * dimension**0.5
+    covariance = centred.T @ centred / (count - 1)
+    return (covariance.square().sum() - covariance.diagonal().square().sum()) / dimension
+
+
+class InverseDynamics(nn.Module):
+    """Recovers the command between two embeddings; needs no label but the command that was sent.
+
+    What it asks of the embedding is exactly the velocity, which a frame pair carries only in tenths of a pixel.
+
+    Args:
+        embedding_dim: d.
+        hidden_dim: width of the hidden layer.
+    """
+
+    def __init__(self, embedding_dim: int, hidden_dim: int = 256) -> None:
+        super().__init__()
+        self.scale = embedding_dim**0.5
+        self.layers = nn.Sequential(nn.Linear(2 * embedding_dim + 1, hidden_dim), nn.ReLU(), nn.Linear(hidden_dim, 1))
+
+    def forward(self, before: Tensor, after: Tensor, gap: int) -> Tensor:
+        """Mean z-scored command [..., 1] over the ``gap`` slots between ``before`` and ``after`` [..., d]."""
+        gaps = torch.full_like(before[..., :1], gap / 4)
+        return self.layers(torch.cat((before * self.scale, (after - before) * self.scale, gaps), dim=-1)).float()
