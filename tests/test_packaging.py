@@ -21,12 +21,7 @@ ROOT = Path(__file__).parent.parent
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 PINS = {canonicalize_name(pin.name): pin.specifier for pin in map(Requirement, PROJECT["dependencies"])}
 TARGETS = ["setup", "train-jepa", "train-actor", "data", "evaluate", "test", "lint", "help"]
-MODULE_NAMES = {
-    "cv2": "opencv-python-headless",
-    "dm_env": "dm-control",
-    "yaml": "jsonargparse",
-    "packaging": "lightning",
-}
+MODULE_NAMES = {"cv2": "opencv-python-headless", "dm_env": "dm-control", "OpenGL": "pyopengl", "yaml": "pyyaml"}
 
 needs_make = pytest.mark.skipif(shutil.which("make") is None, reason="make is not installed")
 

@@ -95,11 +95,11 @@ def _help(program: str) -> str:
 
 
 def _find_recipes(options: list[str]) -> list[str]:
-    """Replace ``recipes/NAME.yaml``, where the working directory has none, by the one that came with the package."""
-    shipped = Path(__file__).parent
+    """Replace ``recipes/NAME.yaml``, where the working directory has none, by the package's own (or the checkout's)."""
+    package = Path(__file__).parent
     return [
-        str(shipped / option)
-        if option.startswith("recipes/") and not Path(option).exists() and (shipped / option).is_file()
+        next((str(home / option) for home in (package, package.parent) if (home / option).is_file()), option)
+        if option.startswith("recipes/") and not Path(option).exists()
         else option
         for option in options
     ]
