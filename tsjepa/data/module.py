@@ -25,7 +25,7 @@ class Trajectories(lightning.LightningDataModule):
         path: folder of the data set.
         collect: recipe that collects the data set when ``path`` does not exist.
         frame_stack: kappa.
-        frame_spacing: slots between the frames of a stack; 2 or 3 double or triple what a velocity moves in the picture.
+        frame_spacing: slots between the frames of a stack; 2 or 3 multiply what a velocity moves in the picture.
         stacks: stacks per window.
         frames_per_batch: context frames a step, over all processes (256 in the paper).
         steps: slots between the stacks of a window, drawn per batch.
@@ -38,7 +38,7 @@ class Trajectories(lightning.LightningDataModule):
         path: str = "data/cartpole-20ms",
         collect: str = "recipes/data.yaml",
         frame_stack: int = 2,
-        frame_spacing: int = 2,
+        frame_spacing: int = 1,
         stacks: int = 8,
         frames_per_batch: int = 256,
         steps: Sequence[int] = (1, 1, 2, 4),
@@ -61,7 +61,9 @@ class Trajectories(lightning.LightningDataModule):
         if (self.path / METADATA).is_file():
             return
         if not self.recipe.is_file():
-            raise FileNotFoundError(f"There is no data set in {self.path} and no recipe {self.recipe} to collect it with.")
+            raise FileNotFoundError(
+                f"There is no data set in {self.path} and no recipe {self.recipe} to collect it with."
+            )
         from tsjepa.cli import run_command
 
         run_command("collect", ["--config", str(self.recipe), "--path", str(self.path)])

@@ -32,7 +32,7 @@ class Starts:
     seed: int
     count: int = 20
     slots: int = 100
-    frame_history: int = 3
+    frame_history: int = 2
     sampling_interval: float = 0.02
     process_noise_std: float = 0.0
 
@@ -127,7 +127,7 @@ class SemanticPolicy:
     def frames(self, observation) -> Tensor:
         """Stacks [N, frame_stack, H, W, 3] of the observed devices."""
         spacing = self.model.architecture.frame_spacing
-        qpos = observation["qpos"].flip(1)[:, :: spacing].flip(1)
+        qpos = observation["qpos"].flip(1)[:, ::spacing].flip(1)
         colors = observation["colors"].repeat_interleave(qpos.shape[1], 0)
         frames = self.render(qpos.flatten(0, 1).double().numpy(), colors.numpy())
         return torch.from_numpy(frames).unflatten(0, qpos.shape[:2])

@@ -17,7 +17,7 @@ class Architecture:
     """Sizes that rebuild a :class:`SemanticController`; the fields are the arguments of its parts."""
 
     frame_stack: int = 2
-    frame_spacing: int = 2
+    frame_spacing: int = 1
     widths: tuple[int, int, int] = (64, 128, 256)
     embedding_dim: int = 256
     predictor_hidden_dim: int = 1024
