@@ -1,8 +1,8 @@
 """The model zoo: folders of weights and configuration that load in one line and prove that they are whole.
 
-An entry is ``config.yaml`` (sizes), ``model.safetensors`` (weights and statistics), ``metrics.json`` (figures and how they
-were measured), ``README.md`` (model card) and ``manifest.json`` (SHA-256 of the others, the card excepted). Nothing in
-it is ever unpickled.
+An entry is ``config.yaml`` (sizes), ``model.safetensors`` (weights and statistics), ``metrics.json`` (figures and how
+they were measured), ``README.md`` (model card) and ``manifest.json`` (SHA-256 of the others, the card excepted).
+Nothing in it is ever unpickled.
 """
 
 from __future__ import annotations
@@ -18,7 +18,13 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from tsjepa.models import SemanticController
 
-CONFIG, WEIGHTS, METRICS, CARD, MANIFEST = "config.yaml", "model.safetensors", "metrics.json", "README.md", "manifest.json"
+CONFIG, WEIGHTS, METRICS, CARD, MANIFEST = (
+    "config.yaml",
+    "model.safetensors",
+    "metrics.json",
+    "README.md",
+    "manifest.json",
+)
 HASHED = (CONFIG, WEIGHTS, METRICS)
 
 
@@ -47,7 +53,8 @@ def find(name_or_path: str | Path) -> Path:
         if (folder / CONFIG).exists() or (folder / MANIFEST).exists():
             return folder
     raise FileNotFoundError(
-        f"There is no model {str(name_or_path)!r}: give the folder of an entry or one of {', '.join(names()) or '(none)'}."
+        f"There is no model {str(name_or_path)!r}: give the folder of an entry, or one of "
+        f"{', '.join(names()) or '(none)'}."
     )
 
 
@@ -93,14 +100,16 @@ def load(name_or_path: str | Path) -> SemanticController:
     config = yaml.safe_load((folder / CONFIG).read_text())
     unknown = set(config) - {field.name for field in fields(Architecture)}
     if unknown:
-        raise ValueError(f"{folder / CONFIG} has settings that this version does not know: {', '.join(sorted(unknown))}.")
+        raise ValueError(
+            f"{folder / CONFIG} has settings that this version does not know: {', '.join(sorted(unknown))}."
+        )
     model = SemanticController(Architecture(**config))
     model.load_state_dict({name: tensor.float() for name, tensor in load_file(folder / WEIGHTS).items()})
     return model.eval().requires_grad_(False)
 
 
 def save(model: SemanticController, folder: str | Path, metrics: dict | None = None, card: str = "") -> Path:
-    """Writes an entry beside ``folder`` and renames it, so that a reader finds the old one or the new one, never half of one.
+    """Writes an entry beside ``folder`` and renames it: a reader finds the old one or the new one, never half of one.
 
     Args:
         model: what :func:`load` will give back; weights are stored in 16 bits where that loses nothing by their dtype.
@@ -116,12 +125,16 @@ def save(model: SemanticController, folder: str | Path, metrics: dict | None = N
     partial = folder.with_name(folder.name + ".partial")
     shutil.rmtree(partial, ignore_errors=True)
     partial.mkdir(parents=True)
-    config = {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(model.architecture).items()}
+    config = {
+        name: list(value) if isinstance(value, tuple) else value for name, value in asdict(model.architecture).items()
+    }
     (partial / CONFIG).write_text(yaml.safe_dump(config, sort_keys=False))
     (partial / METRICS).write_text(json.dumps(metrics or {}, indent=2) + "\n")
     (partial / CARD).write_text(card)
-    weights = {name: tensor.detach().cpu().to(torch.float32 if tensor.is_floating_point() else tensor.dtype).contiguous()
-               for name, tensor in model.state_dict().items()}
+    weights = {
+        name: tensor.detach().cpu().to(torch.float32 if tensor.is_floating_point() else tensor.dtype).contiguous()
+        for name, tensor in model.state_dict().items()
+    }
     save_file(weights, partial / WEIGHTS)
     digests = {name: hashlib.sha256((partial / name).read_bytes()).hexdigest() for name in HASHED}
     (partial / MANIFEST).write_text(json.dumps({"sha256": digests}, indent=2) + "\n")

@@ -1,7 +1,7 @@
 """The paper's image augmentations, batched on the training device.
 
-Brightness, contrast, saturation, hue, colour dropping and normalisation are all affine maps of a pixel's RGB triple, so a
-random draw of all of them in random order is one 3x4 matrix per sample, applied by one batched product. What is lost
+Brightness, contrast, saturation, hue, colour dropping and normalisation are all affine maps of a pixel's RGB triple, so
+a random draw of all of them in random order is one 3x4 matrix per sample, applied by one batched product. What is lost
 against doing them one by one is the clipping to [0, 255] in between, which these small strengths hardly ever reach.
 """
 
@@ -21,7 +21,7 @@ RGB_TO_YIQ = ((0.299, 0.587, 0.114), (0.5959, -0.2746, -0.3213), (0.2115, -0.522
 
 
 class Augmentation(nn.Module):
-    """Random colour jitter, colour dropping and Gaussian blur, then normalisation (paper, "Data Generation and Training").
+    """Random colour jitter, colour dropping, Gaussian blur and normalisation (paper, "Data Generation and Training").
 
     Args:
         brightness: factor drawn from 1 +- this.
@@ -29,8 +29,8 @@ class Augmentation(nn.Module):
         saturation: factor about the luma drawn from 1 +- this.
         hue: rotation of the chroma plane, drawn from +- this many turns.
         grayscale: probability of replacing RGB by its luma.
-        blur_sigma: range of the 5x5 Gaussian kernel's standard deviation in pixels, or None for no blur. The paper prints
-            [0.1, 0.2], at which the neighbours weigh less than 4e-6: the identity, at a price in time.
+        blur_sigma: range of the 5x5 Gaussian kernel's standard deviation in pixels, or None for no blur. The paper
+            prints [0.1, 0.2], at which the neighbours weigh less than 4e-6: the identity, at a price in time.
     """
 
     def __init__(
@@ -72,7 +72,9 @@ class Augmentation(nn.Module):
         matrix = torch.zeros(count, PATCH**2, 3, PATCH**2, 3, dtype=dtype, device=device)
         matrix.diagonal(dim1=1, dim2=3).copy_(draws[:, :, :3].transpose(1, 2)[..., None])
         offset = draws[:, None, None, :, 3].expand(-1, 1, PATCH**2, -1).reshape(count, 1, -1).to(dtype)
-        mapped = torch.baddbmm(offset, patches.view(count, -1, 3 * PATCH**2).to(dtype), matrix.view(count, 3 * PATCH**2, -1))
+        mapped = torch.baddbmm(
+            offset, patches.view(count, -1, 3 * PATCH**2).to(dtype), matrix.view(count, 3 * PATCH**2, -1)
+        )
         return mapped.view(patches.shape)
 
     def draw(self, count: int, generator: torch.Generator) -> Tensor:
@@ -112,7 +114,7 @@ class Augmentation(nn.Module):
         weight = torch.exp(-(torch.arange(-2, 3, device=frames.device) ** 2) / (2 * sigma**2))
         weight = weight / weight.sum(1, keepdim=True)
         planes = frames.movedim(4, 2).float()
-        count, stack, colors, height, width = planes.shape
+        _, stack, colors, height, width = planes.shape
         kernel = (weight[:, :, None] * weight[:, None, :]).repeat_interleave(stack * colors, 0)[:, None]
         padded = F.pad(planes.reshape(1, -1, height, width), (2, 2, 2, 2), mode="reflect")
         return F.conv2d(padded, kernel, groups=len(kernel)).view(planes.shape).movedim(2, 4)

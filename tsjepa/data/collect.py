@@ -64,8 +64,11 @@ class Coverage:
         return set_points, noise
 
 
+DEFAULT_COVERAGE = Coverage()
+
+
 def simulate(split: Split, coverage: Coverage, slots: int, fleet, expert, generator: torch.Generator) -> TensorDict:
-    """Runs ``split.episodes`` plants for ``slots`` slots; returns everything but the pixels, batch size [episodes, slots + 1]."""
+    """Runs ``split.episodes`` plants for ``slots`` slots; returns all but the pixels, [episodes, slots + 1]."""
     if split.coverage:
         set_points, noise = coverage.draw(split.episodes, slots, generator)
     else:
@@ -95,7 +98,7 @@ def collect(
     splits: dict[str, Split],
     sampling_interval: float = 0.02,
     slots: int = 100,
-    coverage: Coverage = Coverage(),
+    coverage: Coverage = DEFAULT_COVERAGE,
     random_colors: bool = False,
     seed: int = 0,
     overwrite: bool = False,

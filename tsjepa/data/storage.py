@@ -34,7 +34,7 @@ def content_hash(folder: Path) -> str:
 
 
 def publish(partial: Path, folder: Path, metadata: dict) -> None:
-    """Completes a data set: writes its metadata and renames ``partial`` to ``folder``, so that it exists whole or not at all."""
+    """Writes a data set's metadata and renames ``partial`` to ``folder``, so that it is there whole or not at all."""
     metadata = {"format": FORMAT, **metadata, "sha256": content_hash(partial), "files": file_sizes(partial)}
     (partial / METADATA).write_text(json.dumps(metadata, indent=2) + "\n")
     os.replace(partial, folder)
@@ -50,10 +50,14 @@ def read_metadata(folder: str | Path) -> dict:
     folder = Path(folder)
     path = folder / METADATA
     if not path.is_file():
-        raise FileNotFoundError(f"No data set in {folder}: collect one with `tsjepa collect --config recipes/data.yaml`.")
+        raise FileNotFoundError(
+            f"No data set in {folder}: collect one with `tsjepa collect --config recipes/data.yaml`."
+        )
     metadata = json.loads(path.read_text())
     if metadata.get("format") != FORMAT:
-        raise ValueError(f"The data set in {folder} has format {metadata.get('format')}, not {FORMAT}: collect it anew.")
+        raise ValueError(
+            f"The data set in {folder} has format {metadata.get('format')}, not {FORMAT}: collect it anew."
+        )
     actual = file_sizes(folder)
     for name, size in metadata["files"].items():
         if actual.get(name) != size:
@@ -68,7 +72,8 @@ def open_split(folder: str | Path, split: str) -> TensorDict:
     """One split as a memory-mapped TensorDict with batch size [episodes, T + 1].
 
     Keys: ``pixels`` uint8 [H, W, 3], ``state`` [4], ``action`` [1] (the command applied in the slot that starts at this
-    frame; zero in the last one), ``expert_action`` [1] (the expert's command for x_d = 0 in the same state), ``colors`` [2, 3].
+    frame; zero in the last one), ``expert_action`` [1] (the expert's command for x_d = 0 in the same state),
+    ``colors`` [2, 3].
 
     Raises:
         FileNotFoundError, ValueError: see :func:`read_metadata`.

@@ -41,7 +41,6 @@ class WindowSampler(Sampler[Window]):
         steps: the steps to draw from, each as likely as it is listed.
         seed: seed of the sampler's own stream.
         rank, world_size: this process among all.
-        shuffle: draw anew every epoch; otherwise the order of the data, with ``steps[0]``.
     """
 
     def __init__(
@@ -91,7 +90,7 @@ class WindowDataset(Dataset):
     """Gathers the frames and commands of a :class:`Window` from a split.
 
     Args:
-        split: batch size [episodes, T + 1], keys ``pixels`` and ``action``.
+        split: batch size [episodes, T + 1], keys ``pixels``, ``action`` and ``expert_action``.
         stacks: W.
         frame_stack: kappa.
         frame_spacing: slots between the frames of a stack.
@@ -102,15 +101,21 @@ class WindowDataset(Dataset):
         # plain tensors over the memory map: indexing them copies only the rows asked for
         self.pixels = torch.from_numpy(split["pixels"].numpy()).view(episodes * frames, *split["pixels"].shape[2:])
         self.action = split["action"].view(episodes * frames, 1).clone()
+        self.expert_action = split["expert_action"].view(episodes * frames, 1).clone()
         self.frames, self.stacks = frames, stacks
         self.offsets = frame_spacing * torch.arange(1 - frame_stack, 1)
 
     def __getitem__(self, window: Window) -> TensorDict:
-        """Batch [B] with ``frames`` uint8 [W, kappa, H, W, 3] and ``commands`` [step * (W - 1), 1] in newtons."""
+        """Batch [B] with ``frames`` uint8 [W, kappa, H, W, 3], and in newtons the ``commands`` [step * (W - 1), 1] that
+        were applied from the first to the last stack and the ``expert_action`` [W, 1] of the supervised baseline."""
         newest = window.episode * self.frames + window.start
         stacks = newest[:, None] + window.step * torch.arange(self.stacks)
         slots = newest[:, None] + torch.arange(window.step * (self.stacks - 1))
         return TensorDict(
-            {"frames": self.pixels[stacks[..., None] + self.offsets], "commands": self.action[slots]},
+            {
+                "frames": self.pixels[stacks[..., None] + self.offsets],
+                "commands": self.action[slots],
+                "expert_action": self.expert_action[stacks],
+            },
             batch_size=[len(newest)],
         )

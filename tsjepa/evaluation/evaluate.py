@@ -1,9 +1,10 @@
-"""``tsjepa evaluate``: one controller in closed loop beside its baselines; a table, a plot, a video and the raw figures."""
+"""``tsjepa evaluate``: one controller in closed loop beside its baselines; table, plot, video and raw figures."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import torch
@@ -64,9 +65,9 @@ def evaluate(
     rows = [summary("expert, perfect feedback", 1, feedback["expert"], optimal, STATE_BITS, slots)]
     for period in tqdm(periods, desc="closed loops", unit="period"):
         policies = {
-            "TS-JEPA": lambda: SemanticPolicy(controller, renderer.render, period, blend),
-            "expert, hold last": lambda: true_state_policy(expert, period, "hold"),
-            "expert, zero": lambda: true_state_policy(expert, period, "zero"),
+            "TS-JEPA": partial(SemanticPolicy, controller, renderer.render, period, blend),
+            "expert, hold last": partial(true_state_policy, expert, period, "hold"),
+            "expert, zero": partial(true_state_policy, expert, period, "zero"),
         }
         for name, policy in policies.items():
             if period == 1 and name != "TS-JEPA":
@@ -89,7 +90,9 @@ def evaluate(
     print(table(result))
     loop_plot(rows, folder / "score.png")
     if video:
-        loop_video(controller, renderer, Starts(seeds, 1, slots, controller.frame_history, interval_s), folder / "loop.mp4")
+        loop_video(
+            controller, renderer, Starts(seeds, 1, slots, controller.frame_history, interval_s), folder / "loop.mp4"
+        )
     print(f"Figures, plot and film are in {folder}.")
     return result
 

@@ -37,9 +37,9 @@ def open_loop_metrics(model: SemanticController, data: str, split: str = "test")
 
 @torch.no_grad()
 def probed_prediction_error(model: SemanticController, embedded: TensorDictBase, longest: int) -> tuple[Tensor, Tensor]:
-    """Distance of the probed state to the truth, for the prediction and for the copied embedding, at horizons 1..longest.
+    """Distance of the probed state to the truth, for prediction and copied embedding, at horizons 1..longest.
 
-    Every component of the state is divided by its standard deviation over the data before the root mean square is taken.
+    Every component of the state is divided by its standard deviation over the data before the root mean square.
 
     Args:
         embedded: [episodes, slots] with ``embedding``, ``action``, ``state``.

@@ -40,7 +40,7 @@ def loop_plot(rows: list[dict], path: Path) -> None:
 
 
 def loop_video(model: SemanticController, renderer, starts: Starts, path: Path) -> None:
-    """Film of one start with an update every 5 slots: the true frame above, below it the state that the embedding holds.
+    """Film of one start with an update every 5 slots: the true frame, and below it the state the embedding holds.
 
     The bar below is green in slots whose embedding was received and red where it was predicted.
     """

@@ -1,4 +1,4 @@
-"""The semantic actor: an embedding, received or predicted, to a command in newtons (paper, section "Semantic actor model")."""
+"""The semantic actor: an embedding, received or predicted, to a command (paper, section "Semantic actor model")."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ class Actor(nn.Module):
         self, embedding_dim: int = 256, hidden_dims: tuple[int, int] = (1024, 256), dropout: float = 0.2
     ) -> None:
         super().__init__()
+        self.hidden_dims = tuple(hidden_dims)
         first, second = hidden_dims
         self.scale = embedding_dim**0.5
         self.layers = nn.Sequential(
@@ -37,5 +38,5 @@ class Actor(nn.Module):
         return self.unclipped(embedding).clamp(-COMMAND_LIMIT, COMMAND_LIMIT)
 
     def unclipped(self, embedding: Tensor) -> Tensor:
-        """The regression output in newtons before the actuator's limit, so that its gradient never vanishes in training."""
+        """The output in newtons before the actuator's limit, so that its gradient never vanishes in training."""
         return COMMAND_LIMIT * self.layers(embedding * self.scale)

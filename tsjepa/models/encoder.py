@@ -71,8 +71,8 @@ class RunningCentre(nn.Module):
 class Encoder(nn.Module):
     """Residual network with three stages, flattened (pooling loses the cart's position) and projected to ``d``.
 
-    The stem rearranges the picture into 4x4 patches and runs a 3x3 convolution over them, that is a 12x12 kernel at stride 4.
-    On a CPU it costs a fifth of a 7x7 stride-2 stem with pooling, and it reads position as well.
+    The stem rearranges the picture into 4x4 patches and runs a 3x3 convolution over them, that is a 12x12 kernel at
+    stride 4. On a CPU it costs a fifth of a 7x7 stride-2 stem with pooling, and it reads position as well.
 
     Args:
         frame_stack: frames per embedding (kappa of the paper), stacked on channels, oldest first.

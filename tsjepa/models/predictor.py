@@ -1,4 +1,4 @@
-"""The predictor: where an embedding goes under a command, and the auto-regressive roll-out of it (paper eq. eq_pred5)."""
+"""The predictor: where an embedding goes under a command, and its auto-regressive roll-out (paper eq. eq_pred5)."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ class Predictor(nn.Module):
     """One step of embedding dynamics: a residual MLP conditioned on the command, brought back to unit length.
 
     The command is z-scored with statistics of the training data that are saved with the weights. The paper does not say
-    whether the MLP outputs the next embedding or its change; at 20 ms embeddings move little, so ``residual`` learns faster.
+    whether the MLP outputs the next embedding or its change; at 20 ms embeddings move little, so ``residual`` learns
+    faster.
 
     Args:
         embedding_dim: d.

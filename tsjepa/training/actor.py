@@ -1,4 +1,4 @@
-"""The semantic actor, trained by imitation on frozen embeddings, received and rolled out (paper eq. eq_opt_problem_2)."""
+"""The semantic actor, imitating on frozen embeddings, received and predicted (paper eq. eq_opt_problem_2)."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from torch import Tensor
 from tsjepa import zoo
 from tsjepa.models import SemanticController
 from tsjepa.models.actor import COMMAND_LIMIT
-from tsjepa.training.embeddings import embed_split
 from tsjepa.training.jepa import warmup_cosine
+from tsjepa.training.monitor import STATE_NAMES
 
 
 @torch.no_grad()
 def imitation_pairs(model: SemanticController, data: TensorDictBase, horizons: Sequence[int]) -> TensorDict:
-    """Embeddings with the true state and the expert's command, received (horizon 0) and predicted that many slots ahead.
+    """Embeddings with true state and expert's command, received (horizon 0) and predicted that many slots ahead.
 
     Without the predicted ones the actor meets them first in the loop (paper-notes, decision 3b).
 
@@ -36,7 +36,9 @@ def imitation_pairs(model: SemanticController, data: TensorDictBase, horizons: S
     """
     slots = data.batch_size[1]
     if max(horizons) >= slots:
-        raise ValueError(f"A horizon of {max(horizons)} slots does not fit into trajectories of {slots}; take a shorter one.")
+        raise ValueError(
+            f"A horizon of {max(horizons)} slots does not fit into trajectories of {slots}; take a shorter one."
+        )
     parts, predicted = [], data["embedding"]
     for ahead in range(max(horizons) + 1):
         if ahead:
@@ -53,7 +55,7 @@ class SemanticActor(lightning.LightningModule):
     Encoder and predictor stay frozen; the probe shares nothing with the actor and is there to look inside.
 
     Args:
-        pretrained: name or folder of the zoo entry whose encoder and predictor are used; its actor and probe are replaced.
+        pretrained: zoo entry (name or folder) whose encoder and predictor are used; its actor and probe are replaced.
         hidden_dims: widths of the actor's hidden layers.
         dropout: of the actor.
         learning_rate: peak; warm-up and cosine decay as in TS-JEPA.
@@ -104,7 +106,7 @@ class SemanticActor(lightning.LightningModule):
         error = (self.model.act(batch["embedding"]) - batch["expert_action"]).abs().mean()
         self.log("val/command_nmae", error / (2 * COMMAND_LIMIT), prog_bar=True)
         rmse = (self.model.probe(batch["embedding"]) - batch["state"]).square().mean(0).sqrt()
-        self.log_dict({f"val/probe_{name}": value for name, value in zip(("x", "theta", "x_dot", "theta_dot"), rmse)})
+        self.log_dict({f"val/probe_{name}": value for name, value in zip(STATE_NAMES, rmse, strict=True)})
 
     def configure_optimizers(self):
         parameters = [*self.model.actor.parameters(), *self.model.probe.parameters()]

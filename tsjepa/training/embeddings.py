@@ -20,7 +20,8 @@ def embed_split(encoder: Encoder, split: TensorDictBase, frame_spacing: int, bat
         batch: stacks per forward pass.
 
     Returns:
-        [episodes, T + 1 - first] with ``embedding`` [d], ``state``, ``action``, ``expert_action``, on the encoder's device.
+        [episodes, T + 1 - first] with ``embedding`` [d], ``state``, ``action``, ``expert_action``, on the encoder's
+        device.
     """
     device = next(encoder.parameters()).device
     stack = encoder.frame_shape[0]

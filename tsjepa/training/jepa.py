@@ -20,16 +20,16 @@ from tsjepa.training.losses import InverseDynamics, cosine_loss, covariance_loss
 class TSJEPA(lightning.LightningModule):
     """Predicts the target encoder's embeddings of later frames from one embedding and the commands in between.
 
-    Each frame of a window is encoded once by the context encoder and once by the target encoder, and serves as context for
-    every later frame and as target for every earlier one.
+    Each frame of a window is encoded once by the context encoder and once by the target encoder, and serves as context
+    for every later frame and as target for every earlier one.
 
     Args:
         encoder: the context encoder.
         predictor: one step of embedding dynamics.
         augmentation: applied to every window with its own draw.
         optimizer: from parameters to optimizer.
-        scheduler: from optimizer to a schedule that steps once an epoch; None for linear warm-up over the first 5 % of all
-            steps and cosine decay to zero.
+        scheduler: from optimizer to a schedule that steps once an epoch; None for linear warm-up over the first 5 % of
+            all steps and cosine decay to zero.
         ema_decay: eta of the paper's eq. eq_weights_update.
         variance_weight: weight of the variance term (0 in the paper).
         covariance_weight: weight of the covariance term (0 in the paper).
@@ -146,7 +146,10 @@ class TSJEPA(lightning.LightningModule):
         parameters = [parameter for parameter in self.parameters() if parameter.requires_grad]
         optimizer = self.optimizer(parameters)
         if self.scheduler is not None:
-            return {"optimizer": optimizer, "lr_scheduler": {"scheduler": self.scheduler(optimizer), "interval": "epoch"}}
+            return {
+                "optimizer": optimizer,
+                "lr_scheduler": {"scheduler": self.scheduler(optimizer), "interval": "epoch"},
+            }
         total = self.trainer.estimated_stepping_batches
         schedule = LambdaLR(optimizer, lambda step: warmup_cosine(step / total))
         return {"optimizer": optimizer, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}

@@ -13,13 +13,13 @@ def cosine_loss(prediction: Tensor, target: Tensor) -> Tensor:
 
 
 def variance_loss(embedding: Tensor) -> Tensor:
-    """Hinge on the standard deviation of each dimension of ``embedding`` [N, d], scaled so that isotropy gives one (VICReg)."""
+    """Hinge on each dimension's standard deviation over ``embedding`` [N, d]; isotropy has one (VICReg)."""
     scaled = embedding * embedding.shape[-1] ** 0.5
     return F.relu(1 - (scaled.var(0) + 1e-4).sqrt()).mean()
 
 
 def covariance_loss(embedding: Tensor) -> Tensor:
-    """Sum of squared off-diagonal covariances of ``embedding`` [N, d] over d, scaled like :func:`variance_loss` (VICReg)."""
+    """Squared off-diagonal covariances of ``embedding`` [N, d], summed over d; scaled as the variance (VICReg)."""
     count, dimension = embedding.shape
     centred = (embedding - embedding.mean(0)) * dimension**0.5
     covariance = centred.T @ centred / (count - 1)

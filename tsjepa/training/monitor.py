@@ -32,8 +32,10 @@ def action_sensitivity(predictor: nn.Module, embedding: Tensor, command: float =
     return F.cosine_similarity(predictor(embedding, force), predictor(embedding, -force), dim=-1).mean()
 
 
-def prediction_skill(predictor: nn.Module, embedding: Tensor, action: Tensor, horizons: tuple[int, ...]) -> dict[int, Tensor]:
-    """1 - (1 - cos(predicted, true)) / (1 - cos(copied, true)) by horizon in slots: 1 is perfect, 0 is no better than copying.
+def prediction_skill(
+    predictor: nn.Module, embedding: Tensor, action: Tensor, horizons: tuple[int, ...]
+) -> dict[int, Tensor]:
+    """1 - (1 - cos(predicted, true)) / (1 - cos(copied, true)) by horizon: 1 is perfect, 0 no better than copying.
 
     Args:
         embedding: [episodes, slots, d].
@@ -53,7 +55,7 @@ def prediction_skill(predictor: nn.Module, embedding: Tensor, action: Tensor, ho
 
 
 def linear_probe_rmse(embedding: Tensor, state: Tensor, ridge: float = 1e-3) -> Tensor:
-    """RMSE [4] of ridge regression from embedding to state, fitted on the even trajectories and measured on the odd ones."""
+    """RMSE [4] of ridge regression from embedding to state, fitted on even trajectories and measured on odd ones."""
 
     def features(part: Tensor) -> Tensor:
         flat = part.flatten(0, 1) * part.shape[-1] ** 0.5

@@ -1,4 +1,4 @@
-"""Finishes the predictor on the frozen encoder's embeddings, where a step costs a hundredth of one through the encoder."""
+"""Finishes the predictor on the frozen encoder's embeddings, where a step costs a hundredth of one through it."""
 
 from __future__ import annotations
 

@@ -1,0 +1,82 @@
+"""The supervised baseline: frames to commands, end to end, from the expert's labels (paper, baseline 2)."""
+
+from __future__ import annotations
+
+import lightning
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+
+from tsjepa.data.augmentation import Augmentation
+from tsjepa.models import Actor, Architecture, Encoder, SemanticController
+from tsjepa.models.actor import COMMAND_LIMIT
+from tsjepa.training.embeddings import embed_split
+from tsjepa.training.jepa import warmup_cosine
+
+
+class Supervised(lightning.LightningModule):
+    """The encoder and the actor of TS-JEPA trained together on the expert's commands; it has no predictor.
+
+    Args:
+        encoder: with kappa of 2 or 4.
+        actor: on the encoder's embedding.
+        augmentation: as for TS-JEPA.
+        learning_rate: peak of AdamW; warm-up and cosine decay as in TS-JEPA.
+        weight_decay: of AdamW.
+        seed: seed of the augmentation's own stream.
+    """
+
+    def __init__(
+        self,
+        encoder: Encoder,
+        actor: Actor,
+        augmentation: Augmentation,
+        learning_rate: float = 1e-3,
+        weight_decay: float = 1e-2,
+        seed: int = 0,
+    ) -> None:
+        super().__init__()
+        self.encoder, self.actor, self.augmentation = encoder, actor, augmentation
+        self.learning_rate, self.weight_decay, self.seed = learning_rate, weight_decay, seed
+
+    def training_step(self, batch: TensorDictBase, batch_index: int) -> Tensor:
+        generator = torch.Generator().manual_seed(self.seed * 1_000_003 + self.global_step)
+        embedding = self.encoder.embed(self.augmentation(batch["frames"].flatten(0, 1), generator))
+        error = self.actor.unclipped(embedding) - batch["expert_action"].flatten(0, 1)
+        loss = (error / COMMAND_LIMIT).square().mean()
+        self.log("loss", loss, prog_bar=True)
+        return loss
+
+    def nmae(self, split: TensorDictBase) -> Tensor:
+        """Mean command error over 40 N on a split [episodes, T + 1]."""
+        embedded = embed_split(self.encoder, split, self.trainer.datamodule.frame_spacing)
+        return (self.actor(embedded["embedding"]) - embedded["expert_action"]).abs().mean() / (2 * COMMAND_LIMIT)
+
+    def validation_step(self, batch: TensorDictBase, batch_index: int) -> None:
+        self.log("val/command_nmae", self.nmae(batch), prog_bar=True, batch_size=1)
+
+    def test_step(self, batch: TensorDictBase, batch_index: int) -> None:
+        self.log("test/command_nmae", self.nmae(batch), batch_size=1)
+
+    def controller(self) -> SemanticController:
+        """Encoder and actor as a controller; predictor and probe are untrained, so it needs an update every slot."""
+        data = self.trainer.datamodule
+        model = SemanticController(
+            Architecture(
+                frame_stack=self.encoder.frame_shape[0],
+                frame_spacing=data.frame_spacing,
+                widths=self.encoder.widths,
+                embedding_dim=self.encoder.embedding_dim,
+                actor_hidden_dims=self.actor.hidden_dims,
+                sampling_interval=data.metadata["sampling_interval"],
+            )
+        )
+        model.encoder.load_state_dict(self.encoder.state_dict())
+        model.actor.load_state_dict(self.actor.state_dict())
+        return model
+
+    def configure_optimizers(self):
+        optimizer = torch.optim.AdamW(self.parameters(), self.learning_rate, weight_decay=self.weight_decay)
+        total = self.trainer.estimated_stepping_batches
+        schedule = torch.optim.lr_scheduler.LambdaLR(optimizer, lambda step: warmup_cosine(step / total))
+        return {"optimizer": optimizer, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}
