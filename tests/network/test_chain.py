@@ -59,13 +59,11 @@ def test_a_second_reset_goes_on_to_the_next_episode():
 @pytest.mark.parametrize("max_doppler_hz", [0.0, 10.0])
 def test_resetting_some_devices_leaves_the_others_bit_identical(max_doppler_hz):
     """Everything but the shared resource: with J = I the schedule does not couple the devices either."""
-    chain = (
-        lambda: [  # noqa: E731
-            Channel(snr_target_db=8.0, max_doppler_hz=max_doppler_hz, loss=IidLoss(0.1)),
-            Scheduler("max_age", resource_blocks=6),
-            *whole_chain()[2:],
-        ]
-    )
+
+    def chain():
+        channel = Channel(snr_target_db=8.0, max_doppler_hz=max_doppler_hz, loss=IidLoss(0.1))
+        return [channel, Scheduler("max_age", resource_blocks=6), *whole_chain()[2:]]
+
     quiet = rollout(chain(), lengths=[1000] * 6)
     generator = torch.Generator().manual_seed(0)
     for _ in range(4):
