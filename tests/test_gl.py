@@ -15,10 +15,13 @@ linux_only = pytest.mark.skipif(sys.platform != "linux", reason="elsewhere MuJoC
 @pytest.mark.parametrize(
     ("installed", "egl_works", "expected"),
     [
-        ({"EGL"}, False, "egl"),
+        ({"EGL", "GL"}, False, "egl"),
+        ({"EGL", "OpenGL"}, False, "egl"),
         ({"OSMesa"}, False, "osmesa"),
-        ({"EGL", "OSMesa"}, True, "egl"),
-        ({"EGL", "OSMesa"}, False, "osmesa"),
+        ({"EGL", "GL", "OSMesa"}, True, "egl"),
+        ({"EGL", "GL", "OSMesa"}, False, "osmesa"),
+        ({"EGL", "OSMesa"}, True, "osmesa"),
+        ({"EGL"}, True, None),
         (set(), False, None),
     ],
 )

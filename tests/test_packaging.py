@@ -2,6 +2,7 @@
 
 import ast
 import importlib.metadata
+import os
 import shutil
 import subprocess
 import sys
@@ -78,23 +79,26 @@ def test_wheel_holds_code_model_recipes_and_zoo(tmp_path):
     assert not any(name.startswith("tests/") for name in names)
 
 
+def make(*arguments: str) -> subprocess.CompletedProcess:
+    """Run make as from a shell, also where these tests are run by make themselves."""
+    environment = {name: value for name, value in os.environ.items() if not name.startswith(("MAKE", "MFLAGS"))}
+    return subprocess.run(["make", *arguments], cwd=ROOT, env=environment, capture_output=True, text=True)
+
+
 @needs_make
 def test_make_help_lists_the_targets():
-    done = subprocess.run(["make", "help"], cwd=ROOT, check=True, capture_output=True, text=True)
-    assert sorted(line.split()[0] for line in done.stdout.splitlines()) == sorted(TARGETS)
+    assert sorted(line.split()[0] for line in make("help").stdout.splitlines()) == sorted(TARGETS)
 
 
 @needs_make
 def test_make_train_jepa_runs_the_whole_chain_with_the_recipe_asked_for():
-    dry_run = ["make", "-n", "train-jepa", "RECIPE=recipes/smoke.yaml"]
-    printed = subprocess.run(dry_run, cwd=ROOT, check=True, capture_output=True, text=True).stdout
+    printed = make("-n", "train-jepa", "RECIPE=recipes/smoke.yaml").stdout
     steps = [printed.index(step) for step in ("fit --config recipes/smoke.yaml", "recipes/actor.yaml", "evaluate ")]
     assert steps == sorted(steps)
 
 
 @needs_make
 def test_make_says_which_python_it_needs(tmp_path):
-    setup = ["make", "setup", f"VENV={tmp_path / 'venv'}", "PYTHON=/nonexistent/python"]
-    done = subprocess.run(setup, cwd=ROOT, capture_output=True, text=True)
+    done = make("setup", f"VENV={tmp_path / 'venv'}", "PYTHON=/nonexistent/python")
     assert done.returncode != 0
     assert "needs Python 3.10, 3.11 or 3.12" in done.stderr

@@ -143,7 +143,8 @@ def _rendering(frames: int) -> Report:
         output, fault = "", "the camera took more than five minutes"
     speed = re.search(r"^frames/s (\S+)$", output, re.MULTILINE)
     if speed is None:
-        sentence = missing_backend_message() if missing_backend_message() in fault else f"Rendering failed: {fault}"
+        without = backend == "none" or missing_backend_message() in fault
+        sentence = missing_backend_message() if without else f"Rendering failed: {fault}"
         return [("rendering", f"{backend}: does not render")], [sentence]
     if float(speed.group(1)) == 0:
         return [("rendering", f"{backend}: empty frames")], [f"MUJOCO_GL={backend} renders empty frames: set another."]

@@ -27,7 +27,9 @@ def choose_backend() -> str | None:
     """
     if "MUJOCO_GL" in os.environ or sys.platform != "linux":
         return os.environ.get("MUJOCO_GL")
-    has_egl, has_osmesa = _is_installed("EGL"), _is_installed("OSMesa")
+    # PyOpenGL needs the library of the GL functions beside EGL's.
+    has_egl = _is_installed("EGL") and (_is_installed("GL") or _is_installed("OpenGL"))
+    has_osmesa = _is_installed("OSMesa")
     if has_egl and (not has_osmesa or _egl_works()):
         os.environ["MUJOCO_GL"] = "egl"
     elif has_osmesa:
@@ -38,7 +40,7 @@ def choose_backend() -> str | None:
 def missing_backend_message() -> str:
     """The one sentence shown when frames are asked for and no GL backend is installed."""
     return (
-        "No OpenGL backend that can render was found: install EGL (Debian/Ubuntu: libegl1 libgl1-mesa-dri; "
+        "No OpenGL backend that can render was found: install EGL (Debian/Ubuntu: libegl1 libopengl0 libgl1-mesa-dri; "
         "conda-forge, without root: mesalib) or OSMesa (libosmesa6), or set MUJOCO_GL yourself; training from a data "
         "set that is already on disk needs none."
     )
