@@ -6,6 +6,7 @@ import atexit
 import dataclasses
 import math
 import os
+import weakref
 
 import mujoco
 import numpy as np
@@ -34,7 +35,7 @@ class View:
 # A rolled camera meets every edge at many sub-pixel phases, and four samples on a doubled grid make sixteen a pixel:
 # two frames 40 ms apart then give velocity to 5 mm/s, against 35 for an upright view with four samples, 49 with none.
 # The width just holds the cart and the leaning pole at |x| <= 1.3 m, |theta| <= 0.35 rad.
-VIEW = View(fovy=24.0, position=(0.04, -4.0, 1.45), roll=5.0, samples=4, supersampling=2)
+VIEW = View(fovy=24.4, position=(0.04, -4.0, 1.45), roll=5.0, samples=4, supersampling=2)
 
 
 def apply_view(model: mujoco.MjModel, view: View, height: int, width: int) -> None:
@@ -114,6 +115,8 @@ class Renderer:
     def metadata(self) -> dict:
         """What a data set has to record to say how its frames were made; creates the GL context."""
         self._ready()
+        from OpenGL import GL
+
         return {
             "height": self.height,
             "width": self.width,
@@ -121,9 +124,13 @@ class Renderer:
             "samples": int(self._context.offSamples),
             "disabled_flags": list(DISABLED),
             "backend": os.environ.get("MUJOCO_GL", "default"),
-            "gl_renderer": self._gl_renderer,
+            "gl_renderer": GL.glGetString(GL.GL_RENDERER).decode(),
             "mujoco": mujoco.__version__,
         }
+
+    def __reduce__(self):
+        """A copy, or an instance sent to another process, makes its own context."""
+        return Renderer, (self.height, self.width, self.view)
 
     def _shrink(self, image: np.ndarray) -> np.ndarray:
         if self.view.supersampling == 1:
@@ -152,9 +159,11 @@ class Renderer:
         self._viewport = mujoco.MjrRect(0, 0, width, height)
         self._buffer = np.empty((height, width, 3), np.uint8)
         self._build_scene()
-        self._gl_renderer = _gl_renderer_name()
         self._gl = gl
-        atexit.register(_release, gl, self._context)
+        # At exit the context has to go before the display does; a plain finalizer would run after it.
+        finalizer = weakref.finalize(self, _release, gl, self._context)
+        finalizer.atexit = False
+        atexit.register(finalizer)
 
     def _build_scene(self) -> None:
         self._scene = mujoco.MjvScene(self._model, maxgeom=16)
@@ -170,9 +179,3 @@ class Renderer:
         shapes = {shape.objid: shape for shape in self._scene.geoms[: self._scene.ngeom]}
         geoms = [self._model.geom(name).id for name in MOVING]
         self._moving = [(shapes[geom], geom) for geom in geoms]
-
-
-def _gl_renderer_name() -> str:
-    from OpenGL import GL
-
-    return GL.glGetString(GL.GL_RENDERER).decode()

@@ -57,11 +57,15 @@ class Dynamics:
     """
 
     def __init__(self, sampling_interval: float = 0.02) -> None:
+        self.sampling_interval = sampling_interval
         self.steps, _ = substeps(sampling_interval)
         self.model = load_model(sampling_interval)
         self._data = mujoco.MjData(self.model)
         self._rollout = Rollout(nthread=0)
         self._state_size = mujoco.mj_stateSize(self.model, FULL_STATE)
+
+    def __reduce__(self):
+        return Dynamics, (self.sampling_interval,)
 
     def advance(self, state: np.ndarray, force: np.ndarray) -> np.ndarray:
         """Advance float64 states [N, 4] (x, theta, x_dot, theta_dot) under forces [N] in newtons; returns [N, 4]."""

@@ -121,11 +121,12 @@ class FleetEnv(EnvBase):
         episode = self._episodes_started[device]
         self._episodes_started[device] += 1
         fresh = self._first_observation(device, episode)
-        if chosen.all():
-            return fresh.reshape(self.batch_size)
-        kept = tensordict.select(*self.observation_spec.keys(), *DONE_KEYS).reshape(-1).clone()
-        kept[torch.from_numpy(device)] = fresh
-        return kept.reshape(self.batch_size)
+        if not chosen.all():
+            # TorchRL keeps the old entries of the other rows, whatever is written for them here.
+            whole = fresh.new_zeros([self.numel()])
+            whole[torch.from_numpy(device)] = fresh
+            fresh = whole
+        return fresh.reshape(self.batch_size)
 
     def _first_observation(self, device: np.ndarray, episode: np.ndarray) -> TensorDict:
         state = self.start.draw(self._seed, device, episode)
