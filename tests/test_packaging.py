@@ -22,7 +22,13 @@ ROOT = Path(__file__).parent.parent
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 PINS = {canonicalize_name(pin.name): pin.specifier for pin in map(Requirement, PROJECT["dependencies"])}
 TARGETS = ["setup", "train-jepa", "train-actor", "data", "evaluate", "test", "lint", "help"]
-MODULE_NAMES = {"cv2": "opencv-python-headless", "dm_env": "dm-control", "OpenGL": "pyopengl", "yaml": "pyyaml"}
+MODULE_NAMES = {
+    "cv2": "opencv-python-headless",
+    "dm_env": "dm-control",
+    "OpenGL": "pyopengl",
+    "PIL": "pillow",
+    "yaml": "pyyaml",
+}
 
 needs_make = pytest.mark.skipif(shutil.which("make") is None, reason="make is not installed")
 

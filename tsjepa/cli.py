@@ -25,6 +25,7 @@ LIGHTNING_COMMANDS = {
 COMMANDS = {
     "collect": ("tsjepa.data.collect:collect", "record a data set of frames and commands from the plant"),
     "evaluate": ("tsjepa.evaluation.evaluate:evaluate", "close the loop on held-out starts and print the table"),
+    "simulate": ("tsjepa.evaluation.simulate:simulate", "run a fleet of plants that share a radio"),
     "doctor": ("tsjepa.doctor:doctor", "tell what this machine offers and what to mend"),
 }
 
@@ -55,7 +56,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         elif command in LIGHTNING_COMMANDS:
             _run_lightning(program, command, _find_recipes(options))
         elif command in COMMANDS:
-            _run_function(program, command, _find_recipes(options))
+            run_command(command, options, program)
         else:
             given = f"there is no command '{command}'" if command else "a command is missing"
             known = ", ".join([*LIGHTNING_COMMANDS, *COMMANDS])
@@ -96,36 +97,52 @@ def _help(program: str) -> str:
 
 def _find_recipes(options: list[str]) -> list[str]:
     """Replace ``recipes/NAME.yaml``, where the working directory has none, by the package's own (or the checkout's)."""
+    return [find_recipe(option) if option.startswith("recipes/") else option for option in options]
+
+
+def find_recipe(path: str) -> str:
+    """The file itself where the working directory has it, else the package's own (or the checkout's), else ``path``."""
     package = Path(__file__).parent
-    return [
-        next((str(home / option) for home in (package, package.parent) if (home / option).is_file()), option)
-        if option.startswith("recipes/") and not Path(option).exists()
-        else option
-        for option in options
-    ]
+    homes = (Path(), package, package.parent)
+    return next((str(home / path) for home in homes if (home / path).is_file()), path)
 
 
 def _run_lightning(program: str, command: str, options: list[str]) -> None:
     # Never ask for an account, nor send anything, unless the user has set the mode.
     os.environ.setdefault("WANDB_MODE", "offline")
-    from lightning.pytorch.cli import LightningArgumentParser, LightningCLI
+    from lightning.pytorch.cli import LightningArgumentParser, LightningCLI, SaveConfigCallback
 
     class Parser(LightningArgumentParser):
         error = _error_method(f"{program} {command}")
 
+    class SaveFitConfig(SaveConfigCallback):
+        # The other commands would replace the configuration that the model was trained with.
+        def setup(self, trainer, pl_module, stage: str) -> None:
+            if stage == "fit":
+                super().setup(trainer, pl_module, stage)
+
+    class CommandLine(LightningCLI):
+        # The other commands print their figures; in the fit's log they would take the place of the training's.
+        def before_instantiate_classes(self) -> None:
+            if command != "fit":
+                self.config[command].trainer.logger = False
+
     # Lightning warns when it is handed arguments while the process has its own.
     warnings.filterwarnings("ignore", message="LightningCLI's args parameter")
-    LightningCLI(
+    CommandLine(
+        save_config_callback=SaveFitConfig,
         seed_everything_default=0,
         save_config_kwargs={"overwrite": True},
         auto_configure_optimizers=False,
+        trainer_defaults={"plugins": {"class_path": "tsjepa.training.resume.AtomicCheckpointIO"}},
         parser_class=Parser,
         parser_kwargs={"prog": program},
         args=[command, *options],
     )
 
 
-def _run_function(program: str, command: str, options: list[str]) -> None:
+def run_command(command: str, options: list[str], program: str = "tsjepa") -> None:
+    """Run one of :data:`COMMANDS` with ``options`` as they stand on a command line; its errors are not caught."""
     from jsonargparse import ArgumentParser
 
     class Parser(ArgumentParser):
@@ -136,7 +153,7 @@ def _run_function(program: str, command: str, options: list[str]) -> None:
     parser = Parser(prog=f"{program} {command}", description=COMMANDS[command][1])
     parser.add_argument("-c", "--config", action="config", help="a YAML file with any of the options below")
     parser.add_function_arguments(function)
-    values = parser.instantiate(parser.parse_args(options))
+    values = parser.instantiate(parser.parse_args(_find_recipes(options)))
     del values["config"]
     function(**values)
 

@@ -1,0 +1,120 @@
+"""How many devices a scheduler can serve: score against I, and the largest I whose score stays acceptable."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from tsjepa.evaluation.metrics import interval
+
+HOPELESS_SCORE = 0.1  # below it larger fleets are not tried
+RIVALS_OF = "channel_aware"
+
+Score = Callable[[str, int], list[float]]
+"""From scheduler and I to one normalised score per seed; the same seeds, in the same order, every time."""
+
+
+def search(
+    score: Score, schedulers: Sequence[str], sizes: Sequence[int], acceptable: float
+) -> dict[str, dict[int, list[float]]]:
+    """Scores of every scheduler at the given sizes, and between them where the mean crosses the acceptable score.
+
+    Goes up the sizes until the mean is hopeless, then halves the gap between the largest acceptable size and the first
+    that is not, down to one device.
+
+    Args:
+        score: evaluates one fleet; with common random numbers a comparison between schedulers is paired.
+        schedulers: names.
+        sizes: values of I, ascending.
+        acceptable: the mean score that has to be kept.
+
+    Returns:
+        Scores per seed, by scheduler and by I in ascending order.
+    """
+    if list(sizes) != sorted(set(sizes)) or len(sizes) < 2 or sizes[0] < 1:
+        raise ValueError(f"search_over is {list(sizes)}; give at least two sizes of the fleet, ascending, from 1 up.")
+    curves = {}
+    for scheduler in schedulers:
+        curve: dict[int, list[float]] = {}
+        for size in sizes:
+            curve[size] = score(scheduler, size)
+            if mean(curve[size]) < HOPELESS_SCORE:
+                break
+        good, bad = _bracket({size: mean(values) for size, values in curve.items()}, acceptable)
+        while good and bad and bad - good > 1:
+            size = (good + bad) // 2
+            curve[size] = score(scheduler, size)
+            good, bad = (size, bad) if mean(curve[size]) >= acceptable else (good, size)
+        curves[scheduler] = dict(sorted(curve.items()))
+    return curves
+
+
+def mean(values: Sequence[float]) -> float:
+    """Arithmetic mean."""
+    return sum(values) / len(values)
+
+
+def _bracket(means: dict[int, float], acceptable: float) -> tuple[int | None, int | None]:
+    """The size before the first one that is not acceptable (None if there is none before), and that one (or None)."""
+    good = None
+    for size, value in sorted(means.items()):
+        if value < acceptable:
+            return good, size
+        good = size
+    return good, None
+
+
+def crossing(curve: dict[int, float], acceptable: float) -> float:
+    """Number of devices at which a curve first falls below the acceptable score, linear between its points.
+
+    A curve that never does ends at its largest size; one that starts below ends at its smallest.
+    """
+    good, bad = _bracket(curve, acceptable)
+    if good is None:
+        return float(bad)
+    if bad is None:
+        return float(good)
+    return good + (bad - good) * (curve[good] - acceptable) / (curve[good] - curve[bad])
+
+
+def largest(curves: dict[str, dict[int, list[float]]], acceptable: float) -> list[dict]:
+    """One row per scheduler: the largest I whose mean score is acceptable, up to the first that is not.
+
+    Beside it the mean and 95 % interval over seeds of where each seed's own curve crosses the acceptable score, and of
+    that crossing's distance to channel-aware's on the same seed. ``bound`` is "at least" where no size tried was too
+    much for the scheduler and "at most" where the smallest was.
+    """
+    crossings = {name: _crossings(curve, acceptable) for name, curve in curves.items()}
+    rows = []
+    for name, curve in curves.items():
+        good, bad = _bracket({size: mean(values) for size, values in curve.items()}, acceptable)
+        centre, half = interval(crossings[name])
+        row = {
+            "scheduler": name,
+            "largest_num_devices": good if good is not None else bad,
+            "bound": "at most" if good is None else "at least" if bad is None else "exact",
+            "mean": centre,
+            "interval_95": half,
+            "per_seed": crossings[name],
+        }
+        if RIVALS_OF in crossings:
+            pairs = zip(crossings[RIVALS_OF], crossings[name], strict=True)
+            row["channel_aware_ahead_by"], row["ahead_interval_95"] = interval([ours - other for ours, other in pairs])
+        rows.append(row)
+    return sorted(rows, key=lambda row: -row["mean"])
+
+
+def _crossings(curve: dict[int, list[float]], acceptable: float) -> list[float]:
+    seeds = len(next(iter(curve.values())))
+    return [crossing({size: values[seed] for size, values in curve.items()}, acceptable) for seed in range(seeds)]
+
+
+def table(rows: list[dict]) -> str:
+    """The rows as aligned text."""
+    sign = {"at most": "<", "at least": ">=", "exact": ""}
+    lines = [f"{'scheduler':<24}{'largest I':>10}{'over seeds':>18}{'channel-aware ahead by':>26}"]
+    for row in rows:
+        ahead = row.get("channel_aware_ahead_by")
+        ahead = "" if ahead is None else f"{ahead:>17.1f} ± {row['ahead_interval_95']:.1f}"
+        count = f"{sign[row['bound']]} {row['largest_num_devices']}"
+        lines.append(f"{row['scheduler']:<24}{count:>10}{row['mean']:>11.1f} ± {row['interval_95']:<4.1f}{ahead:>26}")
+    return "\n".join(lines)
