@@ -48,7 +48,7 @@ class Trajectories(lightning.LightningDataModule):
         super().__init__()
         if frames_per_batch % stacks:
             raise ValueError(f"frames_per_batch = {frames_per_batch} is not a multiple of stacks = {stacks}.")
-        self.path, self.recipe = Path(path), Path(collect)
+        self.path, self.recipe = Path(path), collect
         self.frame_stack, self.frame_spacing, self.stacks = frame_stack, frame_spacing, stacks
         self.frames_per_batch, self.steps, self.episodes, self.seed = frames_per_batch, steps, episodes, seed
 
@@ -60,13 +60,12 @@ class Trajectories(lightning.LightningDataModule):
     def prepare_data(self) -> None:
         if (self.path / METADATA).is_file():
             return
-        if not self.recipe.is_file():
-            raise FileNotFoundError(
-                f"There is no data set in {self.path} and no recipe {self.recipe} to collect it with."
-            )
-        from tsjepa.cli import run_command
+        from tsjepa.cli import find_recipe, run_command
 
-        run_command("collect", ["--config", str(self.recipe), "--path", str(self.path)])
+        recipe = find_recipe(self.recipe)
+        if not Path(recipe).is_file():
+            raise FileNotFoundError(f"There is no data set in {self.path} and no recipe {recipe} to collect it with.")
+        run_command("collect", ["--config", recipe, "--path", str(self.path)])
 
     def setup(self, stage: str | None = None) -> None:
         self.metadata = read_metadata(self.path)

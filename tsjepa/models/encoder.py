@@ -48,26 +48,6 @@ class ResidualBlock(nn.Module):
         return F.relu(self.norm2(self.conv2(y)) + self.shortcut(x))
 
 
-class RunningCentre(nn.Module):
-    """Subtracts the mean over the batch while training and its running average afterwards.
-
-    Without it all embeddings share one large component, to which a cosine then pays most attention; batch normalisation
-    would also centre, but lifts every unpredictable direction to the variance of the others.
-    """
-
-    def __init__(self, dimension: int, momentum: float = 0.1) -> None:
-        super().__init__()
-        self.momentum = momentum
-        self.register_buffer("mean", torch.zeros(dimension))
-
-    def forward(self, features: Tensor) -> Tensor:
-        if not self.training:
-            return features - self.mean
-        mean = features.mean(0)
-        self.mean.lerp_(mean.detach(), self.momentum)
-        return features - mean
-
-
 class Encoder(nn.Module):
     """Residual network with three stages, flattened (pooling loses the cart's position) and projected to ``d``.
 
@@ -100,8 +80,7 @@ class Encoder(nn.Module):
         self.stages = nn.Sequential(
             ResidualBlock(first, first, 2), ResidualBlock(first, second, 2), ResidualBlock(second, third, 2)
         )
-        self.project = nn.Linear(third * (height // 32) * (width // 32), embedding_dim, bias=False)
-        self.centre = RunningCentre(embedding_dim)
+        self.project = nn.Linear(third * (height // 32) * (width // 32), embedding_dim)
         mean, std = torch.tensor(PIXEL_MEAN), torch.tensor(PIXEL_STD)
         self.register_buffer("pixel_scale", (1 / (255 * std)).repeat(PATCH**2 * frame_stack), persistent=False)
         self.register_buffer("pixel_shift", (-mean / std).repeat(PATCH**2 * frame_stack), persistent=False)
@@ -114,7 +93,7 @@ class Encoder(nn.Module):
     def embed(self, patches: Tensor) -> Tensor:
         """Normalised patches [N, H / 4, W / 4, 48 * frame_stack] to embeddings [N, d] of unit length, float32."""
         features = self.stages(self.stem(patches.permute(0, 3, 1, 2))).permute(0, 2, 3, 1).flatten(1)
-        return F.normalize(self.centre(self.project(features).float()), dim=-1)
+        return F.normalize(self.project(features).float(), dim=-1)
 
     def forward(self, frames: Tensor) -> Tensor:
         """Embeds stacks of frames.

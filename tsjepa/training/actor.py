@@ -14,7 +14,6 @@ from tsjepa import zoo
 from tsjepa.models import SemanticController
 from tsjepa.models.actor import COMMAND_LIMIT
 from tsjepa.training.jepa import warmup_cosine
-from tsjepa.training.monitor import STATE_NAMES
 
 
 @torch.no_grad()
@@ -50,9 +49,7 @@ def imitation_pairs(model: SemanticController, data: TensorDictBase, horizons: S
 
 
 class SemanticActor(lightning.LightningModule):
-    """Fits the actor to the expert's command and, beside it, the state probe to the true state.
-
-    Encoder and predictor stay frozen; the probe shares nothing with the actor and is there to look inside.
+    """Fits the actor to the expert's command; encoder and predictor stay frozen.
 
     Args:
         pretrained: zoo entry (name or folder) whose encoder and predictor are used; its actor and probe are replaced.
@@ -97,20 +94,28 @@ class SemanticActor(lightning.LightningModule):
     def training_step(self, batch: TensorDictBase, batch_index: int) -> Tensor:
         command = self.model.actor.unclipped(batch["embedding"])
         imitation = ((command - batch["expert_action"]) / COMMAND_LIMIT).square().mean()
-        probe = self.model.probe
-        probing = ((probe(batch["embedding"]) - batch["state"]) / probe.state_std).square().mean()
-        self.log_dict({"imitation_loss": imitation, "probe_loss": probing}, prog_bar=True)
-        return imitation + probing
+        self.log("imitation_loss", imitation, prog_bar=True)
+        return imitation
 
     def validation_step(self, batch: TensorDictBase, batch_index: int) -> None:
+        self.log_errors("val", batch)
+
+    def test_step(self, batch: TensorDictBase, batch_index: int) -> None:
+        self.log_errors("test", batch)
+
+    def log_errors(self, stage: str, batch: TensorDictBase) -> None:
+        """Logs the mean command error over 40 N on rows of embeddings."""
         error = (self.model.act(batch["embedding"]) - batch["expert_action"]).abs().mean()
-        self.log("val/command_nmae", error / (2 * COMMAND_LIMIT), prog_bar=True)
-        rmse = (self.model.probe(batch["embedding"]) - batch["state"]).square().mean(0).sqrt()
-        self.log_dict({f"val/probe_{name}": value for name, value in zip(STATE_NAMES, rmse, strict=True)})
+        self.log(f"{stage}/command_nmae", error / (2 * COMMAND_LIMIT), prog_bar=True)
+
+    def predict_step(self, batch: TensorDictBase, batch_index: int) -> TensorDict:
+        """The actor's ``command`` and the ``probed_state`` beside the rows they were made from."""
+        embedding = batch["embedding"]
+        made = {"command": self.model.act(embedding), "probed_state": self.model.probe(embedding)}
+        return batch.clone(recurse=False).update(made)
 
     def configure_optimizers(self):
-        parameters = [*self.model.actor.parameters(), *self.model.probe.parameters()]
-        optimizer = torch.optim.AdamW(parameters, self.learning_rate, weight_decay=self.weight_decay)
+        optimizer = torch.optim.AdamW(self.model.actor.parameters(), self.learning_rate, weight_decay=self.weight_decay)
         total = self.trainer.estimated_stepping_batches
         schedule = torch.optim.lr_scheduler.LambdaLR(optimizer, lambda step: warmup_cosine(step / total))
         return {"optimizer": optimizer, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}

@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import lightning
+import numpy as np
+from tensordict import TensorDictBase
 
 from tsjepa import zoo
 
@@ -24,3 +26,21 @@ class ExportModel(lightning.Callback):
             metrics = {name: float(value) for name, value in trainer.callback_metrics.items()}
             zoo.save(module.controller(), self.folder, metrics)
             print(f"Model written to {self.folder}.")
+
+
+class WritePredictions(lightning.Callback):
+    """Writes what ``tsjepa predict`` makes of the test split as named NumPy arrays.
+
+    Args:
+        path: of the ``.npz`` file.
+    """
+
+    def __init__(self, path: str) -> None:
+        self.path = Path(path)
+
+    def on_predict_batch_end(
+        self, trainer, module, outputs: TensorDictBase, batch, batch_idx: int, dataloader_idx: int = 0
+    ) -> None:
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        np.savez(self.path, **{name: tensor.cpu().numpy() for name, tensor in outputs.items()})
+        print(f"Predictions ({', '.join(sorted(outputs.keys()))}) written to {self.path}.")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import torch
 from tensordict import TensorDict, TensorDictBase
-from torch import Tensor, nn
 
 from tsjepa.models import Encoder
 
@@ -27,7 +26,7 @@ def embed_split(encoder: Encoder, split: TensorDictBase, frame_spacing: int, bat
     stack = encoder.frame_shape[0]
     first = (stack - 1) * frame_spacing
     episodes, frames = split.batch_size
-    pixels = torch.from_numpy(split["pixels"].numpy()).flatten(0, 1)
+    pixels = torch.from_numpy(split["pixels"].cpu().numpy()).flatten(0, 1)
     newest = (frames * torch.arange(episodes)[:, None] + torch.arange(first, frames)).flatten()
     offsets = frame_spacing * torch.arange(1 - stack, 1)
     was_training = encoder.training
@@ -37,26 +36,3 @@ def embed_split(encoder: Encoder, split: TensorDictBase, frame_spacing: int, bat
     embedding = torch.cat(parts).unflatten(0, (episodes, frames - first))
     rest = split.select("state", "action", "expert_action")[:, first:].to(device)
     return TensorDict({"embedding": embedding, **rest}, batch_size=[episodes, frames - first], device=device)
-
-
-def fit_regression(
-    module: nn.Module, inputs: Tensor, targets: Tensor, steps: int, batch: int, learning_rate: float, seed: int
-) -> None:
-    """Fits ``module(inputs) ~ targets`` in squared error with AdamW and cosine decay; leaves it in evaluation mode.
-
-    Args:
-        inputs: [N, ...].
-        targets: [N, ...] of the module's output shape, already scaled to order one.
-    """
-    generator = torch.Generator().manual_seed(seed)
-    optimizer = torch.optim.AdamW(module.parameters(), learning_rate, weight_decay=1e-4)
-    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, steps)
-    module.train()
-    for _ in range(steps):
-        rows = torch.randint(len(inputs), (batch,), generator=generator).to(inputs.device)
-        loss = (module(inputs[rows]) - targets[rows]).square().mean()
-        optimizer.zero_grad()
-        loss.backward()
-        optimizer.step()
-        schedule.step()
-    module.eval()

@@ -7,13 +7,14 @@ import math
 import lightning
 import torch
 from lightning.pytorch.cli import LRSchedulerCallable, OptimizerCallable
-from tensordict import TensorDictBase
+from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torch.optim.lr_scheduler import LambdaLR
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from tsjepa.data.augmentation import Augmentation
 from tsjepa.models import Architecture, Encoder, Predictor, SemanticController
+from tsjepa.training.embeddings import embed_split
 from tsjepa.training.losses import InverseDynamics, cosine_loss, covariance_loss, variance_loss
 
 
@@ -140,17 +141,22 @@ class TSJEPA(lightning.LightningModule):
         return model
 
     def validation_step(self, batch: TensorDictBase, batch_index: int) -> None:
-        """Embeds the split; metrics are the callback's (:class:`tsjepa.training.monitor.RepresentationMonitor`)."""
+        """Nothing: metrics are the callback's (:class:`tsjepa.training.monitor.RepresentationMonitor`)."""
+
+    test_step = validation_step
+
+    def predict_step(self, batch: TensorDictBase, batch_index: int) -> TensorDict:
+        """Embeddings of a split, with the state and the commands beside them."""
+        return embed_split(self.encoder, batch, self.trainer.datamodule.frame_spacing)
 
     def configure_optimizers(self):
         parameters = [parameter for parameter in self.parameters() if parameter.requires_grad]
         optimizer = self.optimizer(parameters)
-        if self.scheduler is not None:
-            return {
-                "optimizer": optimizer,
-                "lr_scheduler": {"scheduler": self.scheduler(optimizer), "interval": "epoch"},
-            }
         total = self.trainer.estimated_stepping_batches
+        if self.scheduler is not None:
+            # "interval": "epoch" would step after the epoch's checkpoint is written, and a resumed run be one step behind
+            epoch = {"interval": "step", "frequency": int(self.trainer.num_training_batches)}
+            return {"optimizer": optimizer, "lr_scheduler": {"scheduler": self.scheduler(optimizer), **epoch}}
         schedule = LambdaLR(optimizer, lambda step: warmup_cosine(step / total))
         return {"optimizer": optimizer, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}
 

@@ -89,7 +89,7 @@ def representation_metrics(encoder, predictor, split: TensorDictBase, frame_spac
 
 
 class RepresentationMonitor(lightning.Callback):
-    """Logs :func:`representation_metrics` after every validation and stops a run that has collapsed.
+    """Logs :func:`representation_metrics` after every validation and test and stops a fit that has collapsed.
 
     Args:
         patience_epochs: collapse is not judged before this many epochs.
@@ -103,15 +103,25 @@ class RepresentationMonitor(lightning.Callback):
         self.patience_epochs = patience_epochs
         self.min_effective_rank, self.max_action_sensitivity = min_effective_rank, max_action_sensitivity
 
+    def on_test_batch_end(self, trainer, module, outputs, batch, batch_idx, dataloader_idx=0) -> None:
+        self.log_metrics("test", trainer, module, batch)
+
     def on_validation_batch_end(self, trainer, module, outputs, batch, batch_idx, dataloader_idx=0) -> None:
-        metrics = representation_metrics(module.encoder, module.predictor, batch, trainer.datamodule.frame_spacing)
-        # what early stopping and the choice of the best checkpoint look at: skill averaged over the horizons
+        metrics = self.log_metrics("val", trainer, module, batch)
+        module.log("rank", metrics["effective_rank"], prog_bar=True, logger=False, batch_size=1)
+        if trainer.state.fn == "fit" and not trainer.sanity_checking and trainer.current_epoch >= self.patience_epochs:
+            self.check(metrics)
+
+    def log_metrics(self, stage: str, trainer, module, split: TensorDictBase) -> dict[str, float]:
+        """Logs all measures of a split, and their ``skill``: what early stopping looks at, the mean over horizons."""
+        metrics = representation_metrics(module.encoder, module.predictor, split, trainer.datamodule.frame_spacing)
         skills = [value for name, value in metrics.items() if name.startswith("skill_")]
         metrics["skill"] = sum(skills) / len(skills)
-        module.log_dict({f"val/{name}": value for name, value in metrics.items()}, batch_size=1, sync_dist=True)
-        module.log("rank", metrics["effective_rank"], prog_bar=True, logger=False, batch_size=1)
-        if trainer.sanity_checking or trainer.current_epoch < self.patience_epochs:
-            return
+        module.log_dict({f"{stage}/{name}": value for name, value in metrics.items()}, batch_size=1, sync_dist=True)
+        return metrics
+
+    def check(self, metrics: dict[str, float]) -> None:
+        """Raises :class:`CollapseError` if the embedding has lost its dimensions or the predictor ignores commands."""
         if metrics["effective_rank"] < self.min_effective_rank:
             raise CollapseError(
                 f"The representation collapsed: effective rank {metrics['effective_rank']:.2f} is below "

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import lightning
 import torch
-from tensordict import TensorDictBase
+from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
 from tsjepa.data.augmentation import Augmentation
@@ -57,6 +57,11 @@ class Supervised(lightning.LightningModule):
 
     def test_step(self, batch: TensorDictBase, batch_index: int) -> None:
         self.log("test/command_nmae", self.nmae(batch), batch_size=1)
+
+    def predict_step(self, batch: TensorDictBase, batch_index: int) -> TensorDict:
+        """The ``command`` for every stack of a split, beside embedding, state and the expert's command."""
+        embedded = embed_split(self.encoder, batch, self.trainer.datamodule.frame_spacing)
+        return embedded.set("command", self.actor(embedded["embedding"]))
 
     def controller(self) -> SemanticController:
         """Encoder and actor as a controller; predictor and probe are untrained, so it needs an update every slot."""

@@ -1,0 +1,88 @@
+import colorsys
+
+import numpy as np
+import pytest
+import torch
+
+from tsjepa.data.augmentation import LUMA, Augmentation
+from tsjepa.models.encoder import PIXEL_MEAN, PIXEL_STD, Encoder, patchify
+
+OFF = {"brightness": 0.0, "contrast": 0.0, "saturation": 0.0, "hue": 0.0, "grayscale": 0.0}
+
+
+def frames(count: int = 4) -> torch.Tensor:
+    return torch.randint(0, 256, (count, 2, 64, 128, 3), dtype=torch.uint8, generator=torch.Generator().manual_seed(0))
+
+
+def generator(seed: int = 0) -> torch.Generator:
+    return torch.Generator().manual_seed(seed)
+
+
+def colours(augmentation: Augmentation, rgb: torch.Tensor, seed: int = 0) -> torch.Tensor:
+    """RGB in [0, 1] of one colour after each of 200 draws, normalisation undone."""
+    maps = augmentation.draw(200, generator(seed))
+    normalized = maps[..., :3] @ (255 * rgb) + maps[..., 3]
+    return normalized * torch.tensor(PIXEL_STD) + torch.tensor(PIXEL_MEAN)
+
+
+def test_without_strength_it_is_the_encoders_own_normalisation():
+    expected = Encoder(widths=(4, 4, 4)).normalize(frames())
+    torch.testing.assert_close(Augmentation(**OFF)(frames(), generator()), expected, atol=1e-4, rtol=1e-4)
+
+
+def test_colour_dropping_keeps_the_luma():
+    rgb = torch.tensor([0.8, 0.3, 0.1])
+    grey = colours(Augmentation(**{**OFF, "grayscale": 1.0}), rgb)
+    torch.testing.assert_close(grey, (torch.tensor(LUMA) @ rgb).expand(200, 3), atol=1e-4, rtol=1e-4)
+
+
+def test_colour_dropping_has_the_stated_probability():
+    dropped = colours(Augmentation(**{**OFF, "grayscale": 0.3}), torch.tensor([0.8, 0.3, 0.1]))
+    share = ((dropped[:, 0] - dropped[:, 2]).abs() < 1e-3).float().mean()
+    assert abs(share - 0.3) < 3 * (0.3 * 0.7 / 200) ** 0.5
+
+
+def test_brightness_scales_within_its_range():
+    rgb = torch.tensor([0.5, 0.4, 0.2])
+    factors = colours(Augmentation(**{**OFF, "brightness": 0.05}), rgb) / rgb
+    torch.testing.assert_close(factors[:, 0], factors[:, 2], atol=1e-4, rtol=1e-4)
+    assert factors.min() >= 0.95 - 1e-4 and factors.max() <= 1.05 + 1e-4 and factors.std() > 0.02
+
+
+def test_hue_keeps_the_luma_and_turns_the_hue_by_at_most_its_range():
+    rgb = torch.tensor([0.6, 0.4, 0.3])
+    turned = colours(Augmentation(**{**OFF, "hue": 0.05}), rgb)
+    torch.testing.assert_close(turned @ torch.tensor(LUMA), (rgb @ torch.tensor(LUMA)).expand(200), atol=1e-3, rtol=1e-3)
+    hues = np.array([colorsys.rgb_to_hsv(*colour)[0] for colour in turned.tolist()])
+    change = (hues - colorsys.rgb_to_hsv(*rgb.tolist())[0] + 0.5) % 1 - 0.5
+    assert 0.02 < np.abs(change).max() < 0.08  # the chroma plane's turn is not exactly HSV's
+
+
+def test_consecutive_samples_share_a_draw():
+    same = frames(1).expand(6, -1, -1, -1, -1)
+    out = Augmentation()(same, generator(), shared=3)
+    assert torch.equal(out[0], out[2]) and torch.equal(out[3], out[5]) and not torch.allclose(out[0], out[3])
+
+
+def test_the_printed_blur_is_the_identity_and_a_wide_one_is_opencvs():
+    import cv2
+
+    printed = Augmentation(**OFF, blur_sigma=(0.1, 0.2))
+    # 20 blurred values differ by at most four neighbours' weight of 4e-6 times 255
+    assert (printed.blur(frames(), generator()) - frames()).abs().max() < 0.01
+    wide = Augmentation(**OFF, blur_sigma=(1.5, 1.5)).blur(frames(), generator())
+    for sample, frame in [(0, 0), (3, 1)]:
+        expected = cv2.GaussianBlur(
+            frames()[sample, frame].numpy().astype(np.float32), (5, 5), 1.5, borderType=cv2.BORDER_REFLECT_101
+        )
+        assert np.abs(wide[sample, frame].numpy() - expected).max() < 0.01
+
+
+@pytest.mark.parametrize("dtype", [torch.bfloat16])
+def test_under_autocast_it_stays_close_to_single_precision(dtype):
+    exact = Augmentation()(frames(), generator())
+    with torch.autocast("cpu", dtype):
+        rounded = Augmentation()(frames(), generator())
+    assert rounded.dtype == dtype
+    assert (rounded.float() - exact).abs().mean() < 0.02
+    assert patchify(frames()).shape == exact.shape

@@ -1,0 +1,60 @@
+import pytest
+import torch
+from tensordict import TensorDict
+
+from tsjepa.data.windows import Window, WindowDataset, WindowSampler
+
+
+def numbered_split(episodes: int = 3, frames: int = 20) -> TensorDict:
+    """Every pixel of a frame holds the frame's number, and commands are numbered alike."""
+    number = torch.arange(episodes * frames).view(episodes, frames)
+    pixels = number.to(torch.uint8)[..., None, None, None].expand(episodes, frames, 4, 8, 3).contiguous()
+    action = number[..., None].float()
+    return TensorDict({"pixels": pixels, "action": action, "expert_action": -action}, batch_size=[episodes, frames])
+
+
+def test_a_window_holds_the_frames_and_commands_of_its_slots():
+    dataset = WindowDataset(numbered_split(), stacks=3, frame_stack=2, frame_spacing=2)
+    batch = dataset[Window(torch.tensor([1, 2]), torch.tensor([5, 2]), step=4)]
+    numbers = batch["frames"][..., 0, 0, 0].long()
+    # episode 1 starts at frame 20: stacks end at slots 5, 9, 13, each with the frame two slots before
+    assert numbers[0].tolist() == [[23, 25], [27, 29], [31, 33]]
+    assert batch["commands"][0, :, 0].tolist() == list(range(25, 33))
+    assert batch["expert_action"][0, :, 0].tolist() == [-25, -29, -33]
+    assert numbers[1, 0].tolist() == [40, 42]
+
+
+def sampler(**changes) -> WindowSampler:
+    settings = {"episodes": 4, "frames": 30, "first": 2, "stacks": 4, "windows_per_batch": 8, "steps": (1, 3), "seed": 5}
+    return WindowSampler(**{**settings, **changes})
+
+
+def test_windows_stay_inside_their_trajectories():
+    for window in sampler():
+        assert window.start.min() >= 2
+        assert (window.start + 3 * window.step).max() <= 29
+
+
+def test_an_epoch_is_a_function_of_seed_and_epoch():
+    def draws(epoch, **changes):
+        drawn = sampler(**changes)
+        drawn.set_epoch(epoch)
+        return torch.stack([torch.stack((window.episode, window.start)) for window in drawn])
+
+    assert torch.equal(draws(3), draws(3))
+    assert not torch.equal(draws(3), draws(4))
+    assert not torch.equal(draws(3), draws(3, seed=6))
+
+
+def test_processes_share_a_batch_without_overlap():
+    whole = list(sampler())
+    parts = [list(sampler(rank=rank, world_size=2)) for rank in (0, 1)]
+    for batch, first, second in zip(whole, *parts, strict=True):
+        assert torch.equal(torch.stack((first.start, second.start), 1).flatten(), batch.start)
+
+
+def test_windows_longer_than_the_trajectories_are_refused():
+    with pytest.raises(ValueError, match="need 33 frames"):
+        sampler(steps=(10,))
+    with pytest.raises(ValueError, match="do not divide"):
+        sampler(windows_per_batch=9, world_size=2)

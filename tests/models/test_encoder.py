@@ -1,0 +1,46 @@
+import pytest
+import torch
+
+from tsjepa.models import Encoder
+from tsjepa.models.encoder import PIXEL_MEAN, PIXEL_STD, patchify
+
+
+def frames(count: int, stack: int = 2, seed: int = 0) -> torch.Tensor:
+    generator = torch.Generator().manual_seed(seed)
+    return torch.randint(0, 256, (count, stack, 64, 128, 3), dtype=torch.uint8, generator=generator)
+
+
+def test_patchify_puts_every_pixel_where_its_indices_say():
+    stacks = frames(2)
+    patches = patchify(stacks).reshape(2, 16, 32, 2, 4, 4, 3)
+    for sample, frame, row, column, color in [(0, 0, 0, 0, 0), (1, 1, 63, 127, 2), (0, 1, 17, 90, 1)]:
+        expected = stacks[sample, frame, row, column, color]
+        assert patches[sample, row // 4, column // 4, frame, row % 4, column % 4, color] == expected
+
+
+def test_normalisation_is_the_per_channel_affine_map_of_the_paper():
+    stacks = frames(3)
+    mean, std = torch.tensor(PIXEL_MEAN), torch.tensor(PIXEL_STD)
+    expected = patchify((stacks / 255 - mean) / std)
+    torch.testing.assert_close(Encoder(widths=(4, 4, 4)).normalize(stacks), expected, atol=1e-5, rtol=1e-5)
+
+
+def test_embeddings_have_unit_length_and_the_batch_shape_of_the_frames():
+    encoder = Encoder(widths=(4, 8, 8), embedding_dim=16).eval()
+    embedding = encoder(frames(6).unflatten(0, (2, 3)))
+    assert embedding.shape == (2, 3, 16)
+    torch.testing.assert_close(embedding.norm(dim=-1), torch.ones(2, 3))
+    torch.testing.assert_close(encoder(frames(6)[4]), embedding[1, 1], atol=1e-6, rtol=1e-5)
+
+
+def test_evaluation_mode_does_not_depend_on_the_rest_of_the_batch():
+    encoder = Encoder(widths=(4, 8, 8), embedding_dim=16)
+    encoder(frames(8))
+    encoder.eval()
+    torch.testing.assert_close(encoder(frames(8))[:2], encoder(frames(8)[:2]), atol=1e-6, rtol=1e-5)
+
+
+@pytest.mark.parametrize("bad", [frames(2, stack=3), frames(2).float(), frames(2)[..., :64, :]])
+def test_wrong_frames_are_refused_with_their_shape(bad):
+    with pytest.raises(ValueError, match="uint8 frames of shape"):
+        Encoder(widths=(4, 4, 4))(bad)

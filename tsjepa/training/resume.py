@@ -1,0 +1,62 @@
+"""What a killed fit needs to go on as if nothing had happened: whole checkpoints, and a log that is continued."""
+
+from __future__ import annotations
+
+import csv
+import os
+from pathlib import Path
+from typing import Any
+
+import torch
+from lightning.pytorch.loggers import CSVLogger
+from lightning.pytorch.loggers.csv_logs import ExperimentWriter
+from lightning.pytorch.plugins.io import TorchCheckpointIO
+
+from tsjepa.files import write_text
+
+
+class AtomicCheckpointIO(TorchCheckpointIO):
+    """Writes a checkpoint beside its place and renames it.
+
+    Lightning writes into the system's temporary folder and moves the file, which is a copy where that folder is on
+    another file system; a kill during the copy leaves half a ``last.ckpt``.
+    """
+
+    def save_checkpoint(self, checkpoint: dict[str, Any], path: str | Path, storage_options: Any = None) -> None:
+        path = Path(path)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        partial = path.with_name(path.name + ".partial")
+        with partial.open("wb") as file:
+            torch.save(checkpoint, file)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(partial, path)
+
+
+class ContinuedWriter(ExperimentWriter):
+    """Keeps the rows of an earlier process up to the step at which this one logs first."""
+
+    def _check_log_dir_exists(self) -> None:
+        """Lightning deletes the earlier log here."""
+
+    def log_metrics(self, metrics_dict: dict[str, float], step: int | None = None) -> None:
+        path = Path(self.metrics_file_path)
+        if not self.metrics_keys and path.is_file():
+            with path.open(newline="") as file:
+                reader = csv.DictReader(file)
+                rows = [row for row in reader if int(row["step"]) < (step or 0)]
+            self.metrics_keys = list(reader.fieldnames or ())
+            lines = [self.metrics_keys, *([row[key] for key in self.metrics_keys] for row in rows)]
+            write_text(path, "".join(",".join(line) + "\n" for line in lines))
+        super().log_metrics(metrics_dict, step)
+
+
+class ContinuedCSVLogger(CSVLogger):
+    """A ``metrics.csv`` that a resumed fit continues; a fresh fit in the same folder starts it anew."""
+
+    @property
+    def experiment(self) -> ExperimentWriter:
+        if self._experiment is None:
+            os.makedirs(self.root_dir, exist_ok=True)
+            self._experiment = ContinuedWriter(self.log_dir)
+        return self._experiment
