@@ -26,6 +26,7 @@ COMMANDS = {
     "collect": ("tsjepa.data.collect:collect", "record a data set of frames and commands from the plant"),
     "evaluate": ("tsjepa.evaluation.evaluate:evaluate", "close the loop on held-out starts and print the table"),
     "simulate": ("tsjepa.evaluation.simulate:simulate", "run a fleet of plants that share a radio"),
+    "export": ("tsjepa.evaluation.export:export", "make a trained model an entry of the zoo"),
     "doctor": ("tsjepa.doctor:doctor", "tell what this machine offers and what to mend"),
 }
 

@@ -14,6 +14,7 @@ from tsjepa.evaluation.closed_loop import ONCE, SemanticPolicy, Starts, run, tru
 from tsjepa.evaluation.metrics import Run, interval, normalized_score
 from tsjepa.evaluation.open_loop import open_loop_metrics
 from tsjepa.evaluation.pictures import loop_plot, loop_video
+from tsjepa.evaluation.provenance import provenance
 from tsjepa.files import write_text
 
 EMBEDDING_BITS = 32  # per dimension, sent as float32
@@ -75,6 +76,7 @@ def evaluate(
             bits = EMBEDDING_BITS * architecture.embedding_dim if name == "TS-JEPA" else STATE_BITS
             rows.append(summary(name, period, [run(starts, policy()) for starts in sets], optimal, bits, slots))
     result = {
+        "made_by": provenance(),
         "model": model,
         "optimal_policy": best,
         "optimal_raw_score": float(torch.cat(optimal).mean()),
