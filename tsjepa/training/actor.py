@@ -109,10 +109,8 @@ class SemanticActor(lightning.LightningModule):
         self.log(f"{stage}/command_nmae", error / (2 * COMMAND_LIMIT), prog_bar=True)
 
     def predict_step(self, batch: TensorDictBase, batch_index: int) -> TensorDict:
-        """The actor's ``command`` and the ``probed_state`` beside the rows they were made from."""
-        embedding = batch["embedding"]
-        made = {"command": self.model.act(embedding), "probed_state": self.model.probe(embedding)}
-        return batch.clone(recurse=False).update(made)
+        """The actor's ``command`` beside the rows it was made from."""
+        return batch.clone(recurse=False).set("command", self.model.act(batch["embedding"]))
 
     def configure_optimizers(self):
         optimizer = torch.optim.AdamW(self.model.actor.parameters(), self.learning_rate, weight_decay=self.weight_decay)

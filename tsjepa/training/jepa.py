@@ -154,7 +154,7 @@ class TSJEPA(lightning.LightningModule):
         optimizer = self.optimizer(parameters)
         total = self.trainer.estimated_stepping_batches
         if self.scheduler is not None:
-            # "interval": "epoch" would step after the epoch's checkpoint is written, and a resumed run be one step behind
+            # "interval": "epoch" would step after the checkpoint is written, and a resumed run be one epoch behind
             epoch = {"interval": "step", "frequency": int(self.trainer.num_training_batches)}
             return {"optimizer": optimizer, "lr_scheduler": {"scheduler": self.scheduler(optimizer), **epoch}}
         schedule = LambdaLR(optimizer, lambda step: warmup_cosine(step / total))
