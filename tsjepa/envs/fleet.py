@@ -149,7 +149,7 @@ class FleetEnv(EnvBase):
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         flat = tensordict.reshape(-1)
-        force = flat["action"][:, 0].numpy().astype(np.float64)
+        force = flat["action"][:, 0].detach().numpy().astype(np.float64)
         check_force(force)
         device, episode, slot = np.arange(len(force)), flat["episode"].numpy(), flat["slot"].numpy()
         state = self._advance(flat["physics_state"].numpy(), force, device, episode, slot)
