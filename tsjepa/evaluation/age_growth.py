@@ -36,8 +36,8 @@ def age_growth(
     resource_blocks: int = 2,
     mean_snr_db: float = 7.546445,
     snr_threshold_db: float = 5.0,
-    slots: int = 50_000,
-    networks: int = 8,
+    slots: int = 5_000,
+    networks: int = 20,
     seed: int = 0,
 ) -> dict:
     """Writes age.json and age.png: mean age against time of the printed sign and of its rivals.

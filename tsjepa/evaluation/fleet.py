@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import torch
@@ -166,7 +166,7 @@ def calibration_embeddings(plants: Plants, model: SemanticController, count: int
             embeddings.append(model.encode(watcher.frames(observation)))
         return expert(observation["state"])
 
-    run(plants.starts(CALIBRATION_SEED, count), watched)
+    run(replace(plants, frame_history=model.frame_history).starts(CALIBRATION_SEED, count), watched)
     return torch.cat(embeddings)
 
 
