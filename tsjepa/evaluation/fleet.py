@@ -85,7 +85,7 @@ class Plants:
     slots: int = 100
     sampling_interval: float = 0.02
     process_noise_std: float = 0.008
-    frame_history: int = 3
+    frame_history: int = 2
 
     def starts(self, seed: int, count: int) -> Starts:
         """Starts of the devices 0 .. count - 1; device i is the same plant whatever ``count`` is."""
@@ -187,6 +187,12 @@ def update_bits(radio: Radio, codec: torch.nn.Module, model: SemanticController 
     return payload_bits(codec.encode(torch.ones(1, dimension)))[0].item()
 
 
+def check_scheduler(name: str) -> None:
+    """ValueError that names the schedulers unless there is one of this name."""
+    if name not in SCHEDULERS:
+        raise ValueError(f"There is no scheduler {name!r}; choose from {', '.join(SCHEDULERS)}.")
+
+
 def build_fleet(
     count: int,
     scheduler: str,
@@ -214,8 +220,7 @@ def build_fleet(
     """
     from torchrl.envs import Compose, TransformedEnv
 
-    if scheduler not in SCHEDULERS:
-        raise ValueError(f"There is no scheduler {scheduler!r}; choose from {', '.join(SCHEDULERS)}.")
+    check_scheduler(scheduler)
     model = controller if isinstance(controller, SemanticController) else None
     fleet = plants.starts(seed, count).fleet()
     bits = update_bits(radio, codec, model)

@@ -14,7 +14,17 @@ from torch import Tensor
 from tqdm import tqdm
 
 from tsjepa.evaluation import fleet_search
-from tsjepa.evaluation.fleet import HOLD, LINEAR, FleetRun, Plants, Radio, fitted_codec, optimal_scores, run_fleet
+from tsjepa.evaluation.fleet import (
+    HOLD,
+    LINEAR,
+    FleetRun,
+    Plants,
+    Radio,
+    check_scheduler,
+    fitted_codec,
+    optimal_scores,
+    run_fleet,
+)
 from tsjepa.evaluation.fleet_film import fleet_film
 from tsjepa.evaluation.fleet_pictures import age_plot, capacity_plot, device_plot
 from tsjepa.evaluation.metrics import interval, normalized_score
@@ -58,6 +68,8 @@ def simulate(
         raise ValueError(f"seeds is {seeds}; an interval needs at least 2.")
     if isinstance(schedulers, str) or not schedulers:
         raise ValueError("schedulers is a list of at least one name, such as [channel_aware, round_robin].")
+    for scheduler in schedulers:
+        check_scheduler(scheduler)
     brain = load_controller(controller, plants)
     codec = fitted_codec(radio.codec, plants, None if isinstance(brain, str) else brain)
     best, optimal = optimal_scores(plants, seeds, max([num_devices or 1, *search_over]))
