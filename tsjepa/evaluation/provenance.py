@@ -11,8 +11,10 @@ from pathlib import Path
 
 def provenance() -> dict[str, str]:
     """The command line, the commit (the version where there is no checkout) and the date of this run."""
+    started_as_module = sys.modules["__main__"].__spec__
+    program = f"python -m {started_as_module.name}" if started_as_module else Path(sys.argv[0]).name
     return {
-        "command": " ".join([Path(sys.argv[0]).name, *sys.argv[1:]]),
+        "command": " ".join([program, *sys.argv[1:]]),
         "commit": _commit() or f"version {version('tsjepa')}",
         "date": datetime.now(timezone.utc).date().isoformat(),
     }
