@@ -87,11 +87,9 @@ class SemanticActor(lightning.LightningModule):
         """The complete controller."""
         return self.model
 
-    def on_train_epoch_start(self) -> None:
-        # dropout draws from the global stream: seeding it by epoch makes a resumed run repeat the interrupted one
-        torch.manual_seed(self.seed * 1_000_003 + self.current_epoch)
-
     def training_step(self, batch: TensorDictBase, batch_index: int) -> Tensor:
+        # dropout draws from the global stream: seeding it by step makes a resumed run repeat the interrupted one
+        torch.manual_seed(self.seed * 1_000_003 + self.global_step)
         command = self.model.actor.unclipped(batch["embedding"])
         imitation = ((command - batch["expert_action"]) / COMMAND_LIMIT).square().mean()
         self.log("imitation_loss", imitation, prog_bar=True)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import lightning
 import numpy as np
+import torch
 from tensordict import TensorDictBase
 
 from tsjepa import zoo
@@ -24,7 +25,11 @@ class ExportModel(lightning.Callback):
     def on_fit_end(self, trainer: lightning.Trainer, module: lightning.LightningModule) -> None:
         if trainer.is_global_zero:
             metrics = {name: float(value) for name, value in trainer.callback_metrics.items()}
-            zoo.save(module.controller(), self.folder, metrics)
+            with torch.random.fork_rng():
+                # so that parts which this fit does not train come out alike in a resumed one
+                torch.manual_seed(0)
+                model = module.controller()
+            zoo.save(model, self.folder, metrics)
             print(f"Model written to {self.folder}.")
 
 
@@ -42,5 +47,6 @@ class WritePredictions(lightning.Callback):
         self, trainer, module, outputs: TensorDictBase, batch, batch_idx: int, dataloader_idx: int = 0
     ) -> None:
         self.path.parent.mkdir(parents=True, exist_ok=True)
-        np.savez(self.path, **{name: tensor.cpu().numpy() for name, tensor in outputs.items()})
+        # NumPy has no bfloat16, in which mixed precision answers
+        np.savez(self.path, **{name: tensor.float().cpu().numpy() for name, tensor in outputs.items()})
         print(f"Predictions ({', '.join(sorted(outputs.keys()))}) written to {self.path}.")

@@ -29,7 +29,8 @@ class RowSampler(Sampler):
     def __iter__(self) -> Iterator[torch.Tensor]:
         generator = torch.Generator().manual_seed(self.seed * 1_000_003 + self.epoch)
         order = torch.randperm(self.rows, generator=generator)
-        return iter(order[: len(self) * self.batch].split(self.batch))
+        # not before the first batch is asked for: a resumed fit makes its iterator before it sets the epoch
+        yield from order[: len(self) * self.batch].split(self.batch)
 
 
 class TensorRows:

@@ -1,0 +1,115 @@
+"""Every recipe runs by the command that its head names, and so do the commands around a fit, on tiny data."""
+
+import csv
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+import tiny
+import yaml
+
+import tsjepa
+from tsjepa import cli
+from tsjepa.data.storage import read_metadata
+
+LOADED = {name: tiny.load(name) for name in tiny.NAMES}
+PRODUCERS = {tiny.exported(recipe): name for name, recipe in LOADED.items() if tiny.exported(recipe)}
+FITS = ("recipes/jepa.yaml", "recipes/actor.yaml", "recipes/supervised.yaml")
+
+
+def names(command: str) -> list[str]:
+    return [name for name in tiny.NAMES if tiny.command_of(name) == command]
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """Runs a recipe once, after those whose models it reads, in a folder that holds nothing but the tiny recipes."""
+    folder = tmp_path_factory.mktemp("work")
+    for name, recipe in LOADED.items():
+        tiny.write(folder, name, tiny.shrink(recipe))
+    done = set()
+
+    def once(name: str) -> dict:
+        if name not in done:
+            for model in tiny.strings(LOADED[name]) & (set(PRODUCERS) - {tiny.exported(LOADED[name])}):
+                once(PRODUCERS[model])
+            # a fit collects its data set by itself, so a data recipe has to write elsewhere
+            options = ["--path", f"again/{name}"] if tiny.command_of(name) == "collect" else []
+            assert cli.main([tiny.command_of(name), "--config", name, *options]) == 0
+            done.add(name)
+        return yaml.safe_load(Path(name).read_text())
+
+    before = Path.cwd()
+    os.chdir(folder)
+    yield once
+    os.chdir(before)
+
+
+def test_every_recipe_is_run_below():
+    assert set(names("fit") + names("collect") + names("evaluate") + names("simulate")) == set(tiny.NAMES)
+
+
+@pytest.mark.parametrize("name", names("fit"))
+def test_a_fit_leaves_a_model_that_loads_a_checkpoint_and_a_log(run, name):
+    recipe = run(name)
+    model = tsjepa.load(tiny.exported(recipe))
+    data = recipe["data"]["init_args"]["path"]
+    assert model.architecture.embedding_dim == tiny.SIZES["embedding_dim"]
+    assert model.architecture.sampling_interval == read_metadata(data)["sampling_interval"]
+    home = Path(tiny.exported(recipe)).parent
+    assert (home / "checkpoints" / "last.ckpt").is_file()
+    with (home / "metrics.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert any(key.startswith("val/") and row[key] for row in rows for key in row)
+    assert not list(home.rglob("*.partial"))
+
+
+@pytest.mark.parametrize("name", names("collect"))
+def test_a_collection_is_whole_and_a_fit_that_finds_none_makes_the_same(run, name):
+    recipe = run(name)
+    metadata = read_metadata(f"again/{name}")
+    assert set(metadata["splits"]) == set(recipe["splits"])
+    assert metadata["sampling_interval"] == recipe["sampling_interval"]
+    run(next(fit for fit in names("fit") if name in tiny.strings(LOADED[fit]["data"])))
+    assert read_metadata(recipe["path"])["sha256"] == metadata["sha256"]
+
+
+@pytest.mark.parametrize("name", names("evaluate"))
+def test_an_evaluation_writes_table_plot_and_film(run, name):
+    recipe = run(name)
+    output = Path(recipe["output"])
+    result = json.loads((output / "evaluation.json").read_text())
+    rows = {(row["controller"], row["update_every"]) for row in result["closed_loop"]}
+    assert {("TS-JEPA", 1), ("TS-JEPA", 5), ("TS-JEPA", "once"), ("expert, zero", 5)} <= rows
+    assert all(0 <= row["failures"] <= row["starts"] == 4 for row in result["closed_loop"])
+    assert 0 < result["open_loop"]["command_nmae"] < 1
+    assert all((output / picture).stat().st_size > 1000 for picture in ("score.png", "loop.mp4"))
+
+
+@pytest.mark.parametrize("name", names("simulate"))
+def test_a_simulation_writes_its_results(run, name):
+    recipe = run(name)
+    assert any(path.stat().st_size for path in Path(recipe["output"]).iterdir())
+
+
+@pytest.mark.parametrize("name", FITS)
+def test_validate_and_test_print_their_figures_and_leave_the_fit_alone(run, name, capsys):
+    home = Path(tiny.exported(run(name))).parent
+    before = {path: path.read_bytes() for path in home.rglob("*") if path.is_file()}
+    for command, prefix in (("validate", "val/"), ("test", "test/")):
+        assert cli.main([command, "--config", f"{home}/config.yaml", "--ckpt_path", "last"]) == 0
+        assert prefix in capsys.readouterr().out
+    assert before == {path: path.read_bytes() for path in home.rglob("*") if path.is_file()}
+
+
+@pytest.mark.parametrize("name", FITS)
+def test_predict_writes_arrays_of_the_test_split(run, name):
+    home = Path(tiny.exported(run(name))).parent
+    assert cli.main(["predict", "--config", name, "--ckpt_path", "last"]) == 0
+    with np.load(home / "predictions.npz") as arrays:
+        assert arrays["embedding"].shape[-1] == tiny.SIZES["embedding_dim"]
+        assert arrays["embedding"].shape[:-1] == arrays["state"].shape[:-1]
+        assert np.allclose(np.linalg.norm(arrays["embedding"], axis=-1), 1, atol=1e-5)
+        assert name == "recipes/jepa.yaml" or arrays["command"].shape == arrays["expert_action"].shape

@@ -1,0 +1,80 @@
+"""The recipes, and what makes them tiny enough for a test."""
+
+import re
+from pathlib import Path
+
+import yaml
+
+ROOT = Path(__file__).parent.parent
+NAMES = sorted(path.relative_to(ROOT).as_posix() for path in (ROOT / "recipes").rglob("*.yaml"))
+
+# What is replaced in every recipe, wherever the key stands.
+SIZES = {
+    "widths": [4, 8, 8],
+    "embedding_dim": 16,
+    "hidden_dim": 32,
+    "hidden_dims": [32, 16],
+    "frames_per_batch": 64,
+    "batch_size": 64,
+    "horizon": 5,
+    "max_epochs": 2,
+    "check_val_every_n_epoch": 1,
+    "log_every_n_steps": 1,
+    "slots": 60,
+    "episodes": 2,
+    "seeds": 2,
+    "starts_per_seed": 2,
+    "num_devices": 3,
+    "search_over": [1, 2],
+    "periods": [1, 5, 0],
+    "enable_progress_bar": False,
+}
+CALLBACK_STEPS = 10
+
+
+def shrink(value):
+    """The recipe with every size in it made tiny; its paths, classes and weights stay as they are."""
+    if isinstance(value, list):
+        return [shrink(item) for item in value]
+    if not isinstance(value, dict):
+        return value
+    small = {key: SIZES[key] if key in SIZES and item is not None else shrink(item) for key, item in value.items()}
+    if isinstance(small.get("steps"), int):
+        small["steps"] = CALLBACK_STEPS
+    return small
+
+
+def load(name: str) -> dict:
+    """A recipe as it is shipped."""
+    return yaml.safe_load((ROOT / name).read_text())
+
+
+def write(folder: Path, name: str, recipe: dict) -> None:
+    """Writes a recipe where commands that run in ``folder`` find it first."""
+    path = folder / name
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(yaml.safe_dump(recipe))
+
+
+def command_of(name: str) -> str:
+    """The command that the head of the recipe tells the user to type."""
+    head = (ROOT / name).read_text().splitlines()[0]
+    found = re.search(rf"(?:tsjepa|lightning) (\w+) --config {re.escape(name)}", head)
+    assert found, f"the first line of {name} names no command that runs it: {head}"
+    return found[1]
+
+
+def strings(value) -> set[str]:
+    """All strings in a recipe."""
+    if isinstance(value, str):
+        return {value}
+    items = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+    return set().union(*(strings(item) for item in items))
+
+
+def exported(recipe: dict) -> str | None:
+    """The folder in which a fit leaves its model."""
+    for callback in recipe.get("trainer", {}).get("callbacks", []):
+        if callback["class_path"].endswith("ExportModel"):
+            return callback["init_args"]["folder"]
+    return None

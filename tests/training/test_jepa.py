@@ -1,0 +1,116 @@
+import copy
+
+import pytest
+import torch
+from torch.nn import functional as F
+
+from tsjepa.data.augmentation import Augmentation
+from tsjepa.models import Encoder, Predictor, rollout
+from tsjepa.training.jepa import TSJEPA, warmup_cosine
+
+D = 16
+
+
+@pytest.fixture
+def module():
+    torch.manual_seed(0)
+    encoder, predictor = Encoder(2, (4, 8, 8), D), Predictor(D, 32)
+    return TSJEPA(encoder, predictor, Augmentation(), ema_decay=0.9).train()
+
+
+def unit(*shape: int) -> torch.Tensor:
+    return F.normalize(torch.randn(*shape, generator=torch.Generator().manual_seed(1)), dim=-1)
+
+
+@pytest.mark.parametrize("gap", [1, 3])
+def test_prediction_loss_is_the_mean_over_every_pair_of_stacks(module, gap):
+    windows, stacks = 3, 4
+    embedding, target = unit(windows, stacks, D), unit(windows, stacks, D).flip(0)
+    commands = 5 * torch.randn(windows, gap * (stacks - 1), 1, generator=torch.Generator().manual_seed(2))
+    by_horizon = {ahead: [] for ahead in range(1, stacks)}
+    for window in range(windows):
+        for origin in range(stacks):
+            for later in range(origin + 1, stacks):
+                between = commands[window, gap * origin : gap * later]
+                predicted = rollout(module.predictor, embedding[window, origin], between)[-1]
+                by_horizon[later - origin].append(1 - predicted @ target[window, later])
+    # every horizon weighs the same, though the longer ones have fewer pairs
+    expected = torch.stack([torch.stack(values).mean() for values in by_horizon.values()]).mean()
+    torch.testing.assert_close(module.prediction_loss(embedding, target, commands, gap), expected)
+
+
+def test_inverse_loss_is_the_squared_error_of_the_mean_z_scored_command(module):
+    module.predictor.command_mean.fill_(1.0)
+    module.predictor.command_std.fill_(4.0)
+    embedding = unit(2, 3, D)
+    commands = torch.arange(8.0).view(2, 4, 1)
+    expected = []
+    for window in range(2):
+        for stack in range(2):
+            mean = (commands[window, 2 * stack : 2 * stack + 2].mean() - 1) / 4
+            guess = module.inverse_dynamics(embedding[window, stack], embedding[window, stack + 1], 2)
+            expected.append((guess - mean).square())
+    torch.testing.assert_close(module.inverse_loss(embedding, commands, 2), torch.stack(expected).mean())
+
+
+def test_the_target_is_the_exponential_moving_average_of_weights_and_buffers(module):
+    target = module.target_encoder
+    module.on_train_batch_end(None, None, 0)  # the average begins with the weights after the first step
+    for step in range(3):
+        expected = copy.deepcopy(target.module.state_dict())
+        with torch.no_grad():
+            for number, tensor in enumerate(module.encoder.state_dict().values()):
+                if tensor.is_floating_point():
+                    tensor.add_(0.1 * (step + 1) + 0.01 * number)
+        module.on_train_batch_end(None, None, step)
+        for name, value in module.encoder.state_dict().items():
+            if value.is_floating_point():
+                torch.testing.assert_close(target.module.state_dict()[name], 0.9 * expected[name] + 0.1 * value)
+    assert any("running_var" in name for name in expected)
+
+
+def test_one_step_gives_the_target_no_gradient_and_leaves_it_as_it_was(module, monkeypatch):
+    monkeypatch.setattr(module, "log", lambda *args, **kwargs: None)
+    monkeypatch.setattr(module, "log_dict", lambda *args, **kwargs: None)
+    monkeypatch.setattr(TSJEPA, "global_step", 3)
+    frames = torch.randint(0, 256, (2, 3, 2, 64, 128, 3), dtype=torch.uint8, generator=torch.Generator().manual_seed(0))
+    batch = {"frames": frames, "commands": torch.ones(2, 4, 1)}
+    before = copy.deepcopy(module.target_encoder.state_dict())
+    loss = module.training_step(batch, 0)
+    loss.backward()
+    assert all(parameter.grad is None for parameter in module.target_encoder.parameters())
+    assert all(parameter.grad is not None for parameter in module.encoder.parameters())
+    assert all(parameter.grad is not None for parameter in module.predictor.parameters())
+    # batch normalisation of the target neither reads nor counts the batch
+    assert all(torch.equal(value, before[name]) for name, value in module.target_encoder.state_dict().items())
+
+
+def test_the_target_stays_in_evaluation_mode(module):
+    assert module.encoder.training
+    assert not any(part.training for part in module.target_encoder.modules())
+    module.eval()
+    module.train()
+    assert not any(part.training for part in module.target_encoder.modules())
+
+
+def test_the_loss_of_a_step_depends_on_the_step_and_not_on_the_global_stream(module, monkeypatch):
+    monkeypatch.setattr(module, "log", lambda *args, **kwargs: None)
+    monkeypatch.setattr(module, "log_dict", lambda *args, **kwargs: None)
+    frames = torch.randint(0, 256, (2, 3, 2, 64, 128, 3), dtype=torch.uint8, generator=torch.Generator().manual_seed(0))
+    batch = {"frames": frames, "commands": torch.ones(2, 2, 1)}
+    start = copy.deepcopy(module.state_dict())
+
+    def loss(step: int, seed: int) -> float:
+        module.load_state_dict(start)
+        monkeypatch.setattr(TSJEPA, "global_step", step)
+        torch.manual_seed(seed)
+        return module.training_step(batch, 0).item()
+
+    assert loss(3, seed=0) == loss(3, seed=1) != loss(4, seed=0)
+
+
+def test_warm_up_then_cosine():
+    assert warmup_cosine(0.0) < 0.05
+    assert warmup_cosine(0.05) == pytest.approx(1.0)
+    assert warmup_cosine(0.525) == pytest.approx(0.5)
+    assert warmup_cosine(1.0) == pytest.approx(0.0) == warmup_cosine(1.1)

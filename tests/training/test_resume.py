@@ -1,0 +1,175 @@
+"""A fit that is killed and resumed ends bit for bit where an undisturbed one ends."""
+
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import tiny
+import torch
+from safetensors.torch import load_file
+
+from tsjepa import cli
+from tsjepa.training.resume import AtomicCheckpointIO, ContinuedCSVLogger
+
+EPOCHS = 6
+# Every second epoch is validated, because a checkpoint after a validation restores other counters than one without.
+CHANGES = {"max_epochs": EPOCHS, "check_val_every_n_epoch": 2}
+CASES = {
+    "recipes/jepa.yaml": {},
+    # dropout, whose draws have to be repeated
+    "recipes/actor.yaml": {"dropout": 0.2},
+    # a learning rate that falls after every epoch
+    "recipes/paper/jepa.yaml": {"step_size": 1, "gamma": 0.5},
+}
+STATE = ("state_dict", "optimizer_states", "lr_schedulers", "global_step", "epoch")
+
+
+def replace(value, changes: dict):
+    """The recipe with these keys changed wherever they stand."""
+    if isinstance(value, list):
+        return [replace(item, changes) for item in value]
+    if not isinstance(value, dict):
+        return value
+    return {key: changes.get(key, replace(item, changes)) for key, item in value.items()}
+
+
+def keep_every_checkpoint(recipe: dict) -> dict:
+    for callback in recipe["trainer"]["callbacks"]:
+        if callback["class_path"].endswith("ModelCheckpoint"):
+            callback["init_args"]["save_top_k"] = -1
+    return recipe
+
+
+@pytest.fixture(scope="module")
+def home(tmp_path_factory):
+    """Runs a recipe undisturbed once and gives the folder of its run."""
+    folder = tmp_path_factory.mktemp("resume")
+    for name in tiny.NAMES:
+        recipe = tiny.shrink(tiny.load(name))
+        if name in CASES:
+            recipe = keep_every_checkpoint(replace(recipe, CHANGES | CASES[name]))
+        tiny.write(folder, name, recipe)
+    done = {}
+
+    def once(name: str) -> Path:
+        if name not in done:
+            path = Path(tiny.exported(tiny.load(name))).parent
+            if name == "recipes/actor.yaml" and not Path("runs/jepa/model").exists():
+                shutil.copytree(once("recipes/jepa.yaml") / "model", "runs/jepa/model")
+            assert cli.main(["fit", "--config", name]) == 0
+            done[name] = path.rename(path.with_name(path.name + "-undisturbed"))
+        return done[name]
+
+    before = Path.cwd()
+    os.chdir(folder)
+    yield once
+    os.chdir(before)
+
+
+def kill_once_it_has_saved(arguments: list[str], checkpoint: Path) -> None:
+    """Runs the command in a process of its own and kills it a random while after its first checkpoint."""
+    process = subprocess.Popen([sys.executable, "-m", "tsjepa.cli", *arguments], stdout=subprocess.DEVNULL)
+    try:
+        while not checkpoint.exists():
+            assert process.poll() is None, "the fit ended before it saved anything"
+            time.sleep(0.001)
+        time.sleep(random.Random(str(checkpoint)).uniform(0, 0.1))
+    finally:
+        process.send_signal(signal.SIGKILL)
+    assert process.wait() == -signal.SIGKILL, "the fit ended before it was killed"
+
+
+def differences(first, second, path: str = "") -> list[str]:
+    """Where two checkpoints differ."""
+    if isinstance(first, dict):
+        keys = set(first) | set(second)
+        return [p for key in keys for p in differences(first.get(key), second.get(key), f"{path}/{key}")]
+    if isinstance(first, (list, tuple)):
+        return [
+            p
+            for index, pair in enumerate(zip(first, second, strict=True))
+            for p in differences(*pair, f"{path}/{index}")
+        ]
+    if isinstance(first, torch.Tensor):
+        return [] if torch.equal(first, second) else [path]
+    return [] if first == second else [path]
+
+
+def assert_same(undisturbed: Path, resumed: Path) -> None:
+    """Checkpoints, exported models and logs are equal, to the bit."""
+    first, second = (
+        torch.load(path / "checkpoints" / "last.ckpt", weights_only=False) for path in (undisturbed, resumed)
+    )
+    assert differences({key: first[key] for key in STATE}, {key: second[key] for key in STATE}) == []
+    first, second = (load_file(path / "model" / "model.safetensors") for path in (undisturbed, resumed))
+    assert differences(first, second) == []
+    assert (resumed / "metrics.csv").read_text() == (undisturbed / "metrics.csv").read_text()
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_killed_at_a_random_moment_and_resumed_it_is_bit_identical(home, name):
+    undisturbed = home(name)
+    folder = Path(tiny.exported(tiny.load(name))).parent
+    shutil.rmtree(folder, ignore_errors=True)
+    kill_once_it_has_saved(["fit", "--config", name], folder / "checkpoints" / "last.ckpt")
+    assert torch.load(folder / "checkpoints" / "last.ckpt", weights_only=False)["epoch"] < EPOCHS - 1
+    assert cli.main(["fit", "--config", name, "--ckpt_path", "last"]) == 0
+    assert_same(undisturbed, folder)
+
+
+@pytest.mark.parametrize("epoch", [0, 1, EPOCHS - 1])
+@pytest.mark.parametrize("name", CASES)
+def test_resumed_from_any_epoch_it_is_bit_identical(home, name, epoch):
+    """After an epoch without and one with a validation, and after the last one, where only the export is left."""
+    undisturbed = home(name)
+    folder = Path(tiny.exported(tiny.load(name))).parent
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    shutil.copy(undisturbed / "metrics.csv", folder)
+    (checkpoint,) = (undisturbed / "checkpoints").glob(f"epoch={epoch}-*.ckpt")
+    (folder / "checkpoints").mkdir()
+    shutil.copy(checkpoint, folder / "checkpoints" / "last.ckpt")
+    assert cli.main(["fit", "--config", name, "--ckpt_path", "last"]) == 0
+    assert_same(undisturbed, folder)
+
+
+def test_a_kill_while_a_checkpoint_is_written_leaves_the_one_before(tmp_path, monkeypatch):
+    path = tmp_path / "checkpoints" / "last.ckpt"
+    AtomicCheckpointIO().save_checkpoint({"step": 1}, path)
+
+    def half(checkpoint, file):
+        file.write(b"half")
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(torch, "save", half)
+        with pytest.raises(KeyboardInterrupt):
+            AtomicCheckpointIO().save_checkpoint({"step": 2}, path)
+    assert torch.load(path) == {"step": 1}
+    AtomicCheckpointIO().save_checkpoint({"step": 3}, path)
+    assert torch.load(path) == {"step": 3}
+    assert [file.name for file in path.parent.iterdir()] == ["last.ckpt"]
+
+
+def logged(folder: Path, *rows: tuple[int, dict]) -> str:
+    logger = ContinuedCSVLogger(folder, name="", version="run")
+    for step, metrics in rows:
+        logger.log_metrics(metrics, step)
+    logger.save()
+    return (folder / "run" / "metrics.csv").read_text()
+
+
+def test_a_resumed_log_goes_on_where_the_checkpoint_was(tmp_path):
+    logged(tmp_path, (0, {"loss": 3.0}), (1, {"loss": 2.0}), (2, {"loss": 99.0}))
+    assert logged(tmp_path, (2, {"loss": 1.0, "rank": 5.0})) == "loss,rank,step\n3.0,,0\n2.0,,1\n1.0,5.0,2\n"
+
+
+def test_a_fresh_log_starts_anew(tmp_path):
+    logged(tmp_path, (0, {"loss": 3.0}), (1, {"loss": 2.0}))
+    assert logged(tmp_path, (0, {"loss": 1.0})) == "loss,step\n1.0,0\n"
