@@ -32,8 +32,8 @@ def fleet_film(runs: dict[str, FleetRun], folder: Path) -> None:
     slots = min(len(run.age) for run in runs.values())
     frames = [np.concatenate([grid(name, run, slot, columns) for name, run in runs.items()]) for slot in range(slots)]
     write_video(folder / "fleet.mp4", frames, cv2.VideoWriter_fourcc(*"mp4v"))
-    pictures = [Image.fromarray(frame[..., ::-1]).quantize(24, dither=Image.Dither.NONE) for frame in frames[::4]]
-    pictures[0].save(folder / "fleet.gif", save_all=True, append_images=pictures[1:], duration=160, loop=0)
+    pictures = [Image.fromarray(frame[..., ::-1]).quantize(16, dither=Image.Dither.NONE) for frame in frames[::5]]
+    pictures[0].save(folder / "fleet.gif", save_all=True, append_images=pictures[1:], duration=200, loop=0)
 
 
 def grid_columns(count: int) -> int:
