@@ -146,15 +146,16 @@ class Renderer:
             return
         scale = self.view.supersampling
         height, width = self.height * scale, self.width * scale
-        try:
-            gl = mujoco.GLContext(width, height)
-        except Exception as error:
-            raise RuntimeError(missing_backend_message()) from error
-        gl.make_current()
         self._model = load_model()
         apply_view(self._model, self.view, height, width)
+        try:
+            gl = mujoco.GLContext(width, height)
+            gl.make_current()
+            # without any GL library it is only here that MuJoCo notices
+            self._context = mujoco.MjrContext(self._model, mujoco.mjtFontScale.mjFONTSCALE_100)
+        except Exception as error:
+            raise RuntimeError(missing_backend_message()) from error
         self._data = mujoco.MjData(self._model)
-        self._context = mujoco.MjrContext(self._model, mujoco.mjtFontScale.mjFONTSCALE_100)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
         self._viewport = mujoco.MjrRect(0, 0, width, height)
         self._buffer = np.empty((height, width, 3), np.uint8)

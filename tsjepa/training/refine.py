@@ -66,10 +66,10 @@ class RefinePredictor(lightning.Callback):
 
     def __init__(
         self,
-        steps: int = 3000,
-        horizon: int = 20,
-        batch_size: int = 128,
-        learning_rate: float = 1e-3,
+        steps: int = 7000,
+        horizon: int = 10,
+        batch_size: int = 256,
+        learning_rate: float = 2e-3,
         seed: int = 0,
     ) -> None:
         self.steps, self.horizon, self.batch_size = steps, horizon, batch_size

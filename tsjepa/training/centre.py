@@ -1,0 +1,44 @@
+"""Takes the mean out of a trained encoder's embeddings, so that a cosine looks at what varies."""
+
+from __future__ import annotations
+
+import lightning
+import torch
+from tensordict import TensorDictBase
+
+from tsjepa.models import Encoder
+from tsjepa.training.embeddings import embed_split
+
+
+@torch.no_grad()
+def centre_embedding(encoder: Encoder, split: TensorDictBase, frame_spacing: int) -> None:
+    """Shifts the encoder's last bias so that its output before normalisation has mean zero over ``split``.
+
+    A trained encoder puts much of every embedding into one common direction. The cosine loss then spends itself there, and
+    predictions under opposite forces look alike. Centring while training is worse: it lifts unpredictable directions.
+
+    Args:
+        encoder: changed in place; whatever reads its embeddings has to be trained after this.
+        split: [episodes, T + 1] with ``pixels``.
+        frame_spacing: slots between the frames of a stack.
+    """
+    sums, count = [], 0
+
+    def collect(module, inputs, output) -> None:
+        nonlocal count
+        sums.append(output.double().sum(0))
+        count += len(output)
+
+    hook = encoder.project.register_forward_hook(collect)
+    embed_split(encoder, split, frame_spacing)
+    hook.remove()
+    encoder.project.bias -= (torch.stack(sums).sum(0) / count).to(encoder.project.bias)
+
+
+class CentreEmbedding(lightning.Callback):
+    """Runs :func:`centre_embedding` on the training split when the fit ends. List it before the predictor's refinement."""
+
+    def on_fit_end(self, trainer: lightning.Trainer, module: lightning.LightningModule) -> None:
+        if trainer.is_global_zero:
+            data = trainer.datamodule
+            centre_embedding(module.encoder, data.split("train"), data.frame_spacing)
