@@ -13,7 +13,7 @@ from tsjepa.evaluation.fleet_pictures import redraw
 from tsjepa.evaluation.provenance import provenance
 
 RECIPES = Path(__file__).parents[2] / "recipes"
-SMALL = ["--seeds=2", "--plants.slots=8", "--radio.resource_blocks=2"]
+SMALL = ["--seeds=2", "--plants.slots=100", "--radio.resource_blocks=2"]
 
 
 def simulate(tmp_path, recipe, *options):
@@ -30,7 +30,7 @@ def test_a_fleet_from_its_recipe(tmp_path, capsys):
     rows = list(csv.DictReader((tmp_path / "devices.csv").open()))
     assert len(rows) == 2 * 2 * 5
     film = cv2.VideoCapture(str(tmp_path / "fleet.mp4"))
-    assert int(film.get(cv2.CAP_PROP_FRAME_COUNT)) == 8
+    assert int(film.get(cv2.CAP_PROP_FRAME_COUNT)) == 100
     for name in ("scores.png", "ages.png", "fleet.gif"):
         assert (tmp_path / name).stat().st_size > 1000
     redraw(tmp_path / "fleet.json", tmp_path / "again.png")
@@ -55,6 +55,7 @@ def test_a_search_from_its_recipe(tmp_path, capsys):
         (["--schedulers=[]"], "schedulers"),
         (["--schedulers=[fifo]"], "fifo"),
         (["--seeds=1"], "seeds"),
+        (["--plants.slots=1"], "plants.slots"),
         (["--controller=absent"], "absent"),
     ],
 )

@@ -72,7 +72,13 @@ def simulate(
         check_scheduler(scheduler)
     brain = load_controller(controller, plants)
     codec = fitted_codec(radio.codec, plants, None if isinstance(brain, str) else brain)
-    best, optimal = optimal_scores(plants, seeds, max([num_devices or 1, *search_over]))
+    sizes = [*search_over] if num_devices is None else [num_devices, *search_over]
+    best, optimal = optimal_scores(plants, seeds, max(sizes))
+    if not optimal[:, : min(sizes)].sum(1).all():
+        raise ValueError(
+            f"For some seed nobody is in the box within {plants.slots} slots even with perfect feedback, so scores cannot be "
+            "normalised; raise plants.slots or the number of devices."
+        )
 
     def run(scheduler: str, count: int, seed: int) -> FleetRun:
         return run_fleet(count, scheduler, seed, plants, radio, codec, brain)
