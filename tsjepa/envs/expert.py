@@ -136,8 +136,8 @@ class Expert(ClippedLQR):
     Q = diag(1.6, 1, 0.005, 0.005), R = 1e-3, solved for the sampling interval, position error clipped at 0.65 m and
     force at 20 N. The weights come from a search (evolution strategy, then a grid) over diagonal Q, clips, other
     saturations and blends of two gains, scored with and without measurement and process noise. It reaches the box
-    slightly sooner than `reference_lqr` at slightly less cost. Its command answers errors in the state about half as much,
-    because velocity is hardly penalised: with noise of 8 mm, 5 mrad, 0.06 m/s and 0.08 rad/s the command errs by
+    slightly sooner than `reference_lqr` at slightly less cost. Its command answers errors in the state about half as
+    much, because velocity is hardly penalised: with noise of 8 mm, 5 mrad, 0.06 m/s and 0.08 rad/s the command errs by
     3.0 N instead of 5.9 N at 20 ms.
 
     Args:

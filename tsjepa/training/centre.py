@@ -14,8 +14,8 @@ from tsjepa.training.embeddings import embed_split
 def centre_embedding(encoder: Encoder, split: TensorDictBase, frame_spacing: int) -> None:
     """Shifts the encoder's last bias so that its output before normalisation has mean zero over ``split``.
 
-    A trained encoder puts much of every embedding into one common direction. The cosine loss then spends itself there, and
-    predictions under opposite forces look alike. Centring while training is worse: it lifts unpredictable directions.
+    A trained encoder puts much of every embedding into one common direction. The cosine loss then spends itself there,
+    and predictions under opposite forces look alike. Centring while training is worse: it lifts unpredictable directions.
 
     Args:
         encoder: changed in place; whatever reads its embeddings has to be trained after this.
@@ -36,7 +36,7 @@ def centre_embedding(encoder: Encoder, split: TensorDictBase, frame_spacing: int
 
 
 class CentreEmbedding(lightning.Callback):
-    """Runs :func:`centre_embedding` on the training split when the fit ends. List it before the predictor's refinement."""
+    """Runs :func:`centre_embedding` on the training split at the end of the fit; list it before ``RefinePredictor``."""
 
     def on_fit_end(self, trainer: lightning.Trainer, module: lightning.LightningModule) -> None:
         if trainer.is_global_zero:
