@@ -76,8 +76,8 @@ def simulate(
     best, optimal = optimal_scores(plants, seeds, max(sizes))
     if not optimal[:, : min(sizes)].sum(1).all():
         raise ValueError(
-            f"For some seed nobody is in the box within {plants.slots} slots even with perfect feedback, so scores cannot be "
-            "normalised; raise plants.slots or the number of devices."
+            f"For some seed nobody is in the box within {plants.slots} slots even with perfect feedback, so scores "
+            "cannot be normalised; raise plants.slots or the number of devices."
         )
 
     def run(scheduler: str, count: int, seed: int) -> FleetRun:
