@@ -103,6 +103,7 @@ def load(name_or_path: str | Path) -> SemanticController:
         raise ValueError(
             f"{folder / CONFIG} has settings that this version does not know: {', '.join(sorted(unknown))}."
         )
+    config = {name: tuple(value) if isinstance(value, list) else value for name, value in config.items()}
     model = SemanticController(Architecture(**config))
     model.load_state_dict({name: tensor.float() for name, tensor in load_file(folder / WEIGHTS).items()})
     return model.eval().requires_grad_(False)
@@ -137,7 +138,8 @@ def save(model: SemanticController, folder: str | Path, metrics: dict | None = N
     }
     save_file(weights, partial / WEIGHTS)
     digests = {name: hashlib.sha256((partial / name).read_bytes()).hexdigest() for name in HASHED}
-    (partial / MANIFEST).write_text(json.dumps({"sha256": digests}, indent=2) + "\n")
+    # no newline at its end: a manifest that is cut anywhere is no longer JSON
+    (partial / MANIFEST).write_text(json.dumps({"sha256": digests}, indent=2))
     retired = folder.with_name(folder.name + ".retired")
     shutil.rmtree(retired, ignore_errors=True)
     if folder.exists():

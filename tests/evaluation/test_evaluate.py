@@ -1,0 +1,87 @@
+import json
+
+import cv2
+import pytest
+import torch
+from tensordict import TensorDict
+
+from tsjepa import zoo
+from tsjepa.evaluation.evaluate import evaluate, table
+from tsjepa.evaluation.open_loop import probed_prediction_error
+from tsjepa.models import Architecture, SemanticController
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory):
+    torch.manual_seed(0)
+    architecture = Architecture(widths=(4, 8, 8), embedding_dim=16, predictor_hidden_dim=32, actor_hidden_dims=(32, 16))
+    return str(zoo.save(SemanticController(architecture), tmp_path_factory.mktemp("model") / "tiny"))
+
+
+def options(output, **changes):
+    return {
+        "output": str(output),
+        "data": None,
+        "periods": (1, 5, 0),
+        "seeds": 2,
+        "starts_per_seed": 6,
+        "slots": 80,
+        **changes,
+    }
+
+
+def test_every_controller_has_a_row_with_its_score_and_its_bits(model, tmp_path, capsys):
+    result = evaluate(model, **options(tmp_path, video=False))
+    rows = {(row["controller"], row["update_every"]): row for row in result["closed_loop"]}
+    assert set(rows) == {
+        ("expert, perfect feedback", 1),
+        *((name, period) for name in ("expert, hold last", "expert, zero") for period in (5, "once")),
+        *(("TS-JEPA", period) for period in (1, 5, "once")),
+    }
+    perfect = rows["expert, perfect feedback", 1]
+    assert perfect["command_nmae"] == 0
+    assert perfect["failures"] == 0
+    assert rows["expert, zero", "once"]["normalized_score"] < 0.5 < perfect["normalized_score"]
+    assert all(len(row["score_by_slot"]) == 80 for row in rows.values())
+    assert rows["TS-JEPA", 5]["bits_per_step"] == 32 * 16 / 5
+    assert rows["expert, zero", 5]["bits_per_step"] == 4 * 32 / 5
+    written = json.loads((tmp_path / "evaluation.json").read_text())
+    assert written["closed_loop"] == result["closed_loop"]
+    printed = capsys.readouterr().out
+    assert table(result) in printed
+    assert {path.name for path in tmp_path.iterdir()} == {"evaluation.json", "score.png"}
+
+
+def test_the_same_evaluation_gives_the_same_figures_and_a_film(model, tmp_path):
+    first = evaluate(model, **options(tmp_path / "first", periods=(5,)))
+    again = evaluate(model, **options(tmp_path / "again", periods=(5,), video=False))
+    assert first["closed_loop"] == again["closed_loop"]
+    film = tmp_path / "first" / "loop.mp4"
+    capture = cv2.VideoCapture(str(film))
+    assert capture.get(cv2.CAP_PROP_FRAME_COUNT) == 80
+    assert capture.read()[1].shape == (2 * 4 * 64 + 12, 4 * 128, 3)
+
+
+def test_one_seed_gives_no_interval_and_is_refused(model, tmp_path):
+    with pytest.raises(ValueError, match="at least 2 seeds, not 1"):
+        evaluate(model, **options(tmp_path, seeds=1, video=False))
+
+
+class Line(torch.nn.Module):
+    """A model whose embedding is the state itself and moves by the command."""
+
+    def predictor(self, embedding, command):
+        return embedding + command
+
+    def probe(self, embedding):
+        return embedding
+
+
+def test_probed_prediction_error_of_a_perfect_prediction_and_of_a_copy():
+    action = torch.ones(2, 30, 1)
+    state = torch.arange(30.0).repeat(2, 1)[..., None].expand(2, 30, 4)
+    embedded = TensorDict({"embedding": state, "state": state, "action": action}, batch_size=[2, 30])
+    predicted, copied = probed_prediction_error(Line(), embedded, longest=10)
+    torch.testing.assert_close(predicted, torch.zeros(10))
+    deviation = state.flatten(0, 1).std(0)[0]
+    torch.testing.assert_close(copied, torch.arange(1.0, 11.0) / deviation)
