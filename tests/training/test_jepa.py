@@ -6,7 +6,8 @@ from torch.nn import functional as F
 
 from tsjepa.data.augmentation import Augmentation
 from tsjepa.models import Encoder, Predictor, rollout
-from tsjepa.training.jepa import TSJEPA, warmup_cosine
+from tsjepa.training.jepa import TSJEPA
+from tsjepa.training.schedule import warmup_cosine
 
 D = 16
 

@@ -13,7 +13,7 @@ from torch import Tensor
 from tsjepa import zoo
 from tsjepa.models import SemanticController
 from tsjepa.models.actor import COMMAND_LIMIT
-from tsjepa.training.jepa import warmup_cosine
+from tsjepa.training.schedule import warmup_cosine_schedule
 
 
 @torch.no_grad()
@@ -113,5 +113,5 @@ class SemanticActor(lightning.LightningModule):
     def configure_optimizers(self):
         optimizer = torch.optim.AdamW(self.model.actor.parameters(), self.learning_rate, weight_decay=self.weight_decay)
         total = self.trainer.estimated_stepping_batches
-        schedule = torch.optim.lr_scheduler.LambdaLR(optimizer, lambda step: warmup_cosine(step / total))
+        schedule = warmup_cosine_schedule(optimizer, total)
         return {"optimizer": optimizer, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}

@@ -15,7 +15,8 @@ def centre_embedding(encoder: Encoder, split: TensorDictBase, frame_spacing: int
     """Shifts the encoder's last bias so that its output before normalisation has mean zero over ``split``.
 
     A trained encoder puts much of every embedding into one common direction. The cosine loss then spends itself there,
-    and predictions under opposite forces look alike. Centring while training is worse: it lifts unpredictable directions.
+    and predictions under opposite forces look alike. Centring while training is worse: that lifts unpredictable
+    directions.
 
     Args:
         encoder: changed in place; whatever reads its embeddings has to be trained after this.

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import math
-
 import lightning
 import torch
 from lightning.pytorch.cli import LRSchedulerCallable, OptimizerCallable
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
-from torch.optim.lr_scheduler import LambdaLR
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from tsjepa.data.augmentation import Augmentation
 from tsjepa.models import Architecture, Encoder, Predictor, SemanticController
 from tsjepa.training.embeddings import embed_split
 from tsjepa.training.losses import InverseDynamics, cosine_loss, covariance_loss, variance_loss
+from tsjepa.training.schedule import warmup_cosine_schedule
 
 
 class TSJEPA(lightning.LightningModule):
@@ -157,12 +155,5 @@ class TSJEPA(lightning.LightningModule):
             # "interval": "epoch" would step after the checkpoint is written, and a resumed run be one epoch behind
             epoch = {"interval": "step", "frequency": int(self.trainer.num_training_batches)}
             return {"optimizer": optimizer, "lr_scheduler": {"scheduler": self.scheduler(optimizer), **epoch}}
-        schedule = LambdaLR(optimizer, lambda step: warmup_cosine(step / total))
+        schedule = warmup_cosine_schedule(optimizer, total)
         return {"optimizer": optimizer, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}
-
-
-def warmup_cosine(progress: float, warmup: float = 0.05) -> float:
-    """Learning-rate factor at ``progress`` in [0, 1]: linear warm-up, then cosine decay to zero."""
-    if progress < warmup:
-        return (progress + 1e-3) / (warmup + 1e-3)
-    return 0.5 * (1 + math.cos(math.pi * min(1.0, (progress - warmup) / (1 - warmup))))

@@ -11,7 +11,7 @@ from tqdm import trange
 
 from tsjepa.models import StateProbe
 from tsjepa.training.embeddings import embed_split
-from tsjepa.training.jepa import warmup_cosine
+from tsjepa.training.schedule import warmup_cosine_schedule
 
 
 def fit_probe(
@@ -36,7 +36,7 @@ def fit_probe(
     probe.state_std.copy_(state.std(0))
     generator = torch.Generator().manual_seed(seed)
     optimizer = torch.optim.AdamW(probe.parameters(), learning_rate, weight_decay=1e-4)
-    schedule = torch.optim.lr_scheduler.LambdaLR(optimizer, lambda step: warmup_cosine(step / steps))
+    schedule = warmup_cosine_schedule(optimizer, steps)
     for _ in trange(steps, desc="fit probe", unit="step"):
         rows = torch.randint(len(embedding), (batch_size,), generator=generator).to(embedding.device)
         loss = ((probe(embedding[rows]) - state[rows]) / probe.state_std).square().mean()

@@ -10,8 +10,8 @@ from tqdm import trange
 
 from tsjepa.models.predictor import rollout
 from tsjepa.training.embeddings import embed_split
-from tsjepa.training.jepa import warmup_cosine
 from tsjepa.training.losses import cosine_loss
+from tsjepa.training.schedule import warmup_cosine_schedule
 
 
 def refine_predictor(
@@ -42,7 +42,7 @@ def refine_predictor(
         raise ValueError(f"A horizon of {horizon} slots does not fit into trajectories of {slots}; take a shorter one.")
     generator = torch.Generator().manual_seed(seed)
     optimizer = torch.optim.AdamW(predictor.parameters(), learning_rate, weight_decay=1e-4)
-    schedule = torch.optim.lr_scheduler.LambdaLR(optimizer, lambda step: warmup_cosine(step / steps))
+    schedule = warmup_cosine_schedule(optimizer, steps)
     progress = trange(steps, desc="refine predictor", unit="step")
     for _ in progress:
         episode = torch.randint(episodes, (batch_size, 1), generator=generator).to(embedding.device)

@@ -11,7 +11,7 @@ from tsjepa.data.augmentation import Augmentation
 from tsjepa.models import Actor, Architecture, Encoder, SemanticController
 from tsjepa.models.actor import COMMAND_LIMIT
 from tsjepa.training.embeddings import embed_split
-from tsjepa.training.jepa import warmup_cosine
+from tsjepa.training.schedule import warmup_cosine_schedule
 
 
 class Supervised(lightning.LightningModule):
@@ -83,5 +83,5 @@ class Supervised(lightning.LightningModule):
     def configure_optimizers(self):
         optimizer = torch.optim.AdamW(self.parameters(), self.learning_rate, weight_decay=self.weight_decay)
         total = self.trainer.estimated_stepping_batches
-        schedule = torch.optim.lr_scheduler.LambdaLR(optimizer, lambda step: warmup_cosine(step / total))
+        schedule = warmup_cosine_schedule(optimizer, total)
         return {"optimizer": optimizer, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}
