@@ -1,0 +1,146 @@
+"""Frames per second of the camera inside the fleet, beside the stock way and beside nothing but the rendering.
+
+    python tests/benchmarks/camera.py            # about two minutes on an idle machine
+
+Three contenders, each in a process of its own because their GL contexts get in each other's way, take turns:
+
+- fleet: ``FleetEnv`` of 64 devices with the network's ``Camera`` behind it, every row rendered in every slot, physics
+  and TorchRL included; one new frame a device and slot;
+- stock: dm_control's cart-pole in TorchRL's ``DMControlWrapper`` at 64 x 128, stepped with random commands;
+- bare: ``mjr_render`` and ``mjr_readPixels`` of one scene with the fleet's camera, flags and samples, in a loop.
+"""
+
+import argparse
+import multiprocessing
+import time
+from collections.abc import Callable
+
+import tsjepa  # noqa: F401  (chooses the GL backend before mujoco is imported)
+
+
+def fleet(devices: int, frame_stack: int) -> tuple[Callable[[int], int], dict]:
+    import torch
+    from torchrl.envs import TransformedEnv
+
+    from tsjepa.envs import FleetEnv
+    from tsjepa.network.transforms import Camera
+
+    torch.set_num_threads(1)
+    plants = FleetEnv(devices, frame_history=frame_stack, episode_length=10**9, terminate_on_failure=False)
+    env = TransformedEnv(plants, Camera(plants.renderer.render, frame_stack=frame_stack, frame_spacing=1))
+    state = {"now": env.reset()}
+    generator = torch.Generator().manual_seed(0)
+
+    def make(frames: int) -> int:
+        slots = -(-frames // (devices * frame_stack))
+        state["now"] = env.reset()
+        for _ in range(slots):
+            force = 2 * torch.rand(devices, 1, generator=generator) - 1
+            state["now"] = env.step(state["now"].set("action", force))["next"]
+        return slots * devices * frame_stack
+
+    return make, plants.renderer.metadata()
+
+
+def stock() -> tuple[Callable[[int], int], dict]:
+    import torchrl  # noqa: F401  (before dm_control)
+    from dm_control import suite
+    from torchrl.envs import DMControlWrapper
+
+    env = DMControlWrapper(
+        suite.load("cartpole", "balance", task_kwargs={"random": 0}),
+        from_pixels=True,
+        pixels_only=False,
+        render_kwargs={"height": 64, "width": 128, "camera_id": 0},
+    )
+    state = {"now": env.reset()}
+
+    def make(frames: int) -> int:
+        for _ in range(frames):
+            following = env.rand_step(state["now"])["next"]
+            state["now"] = env.reset() if bool(following["done"]) else following
+        return frames
+
+    return make, {}
+
+
+def bare() -> tuple[Callable[[int], int], dict]:
+    import mujoco
+    import numpy as np
+
+    from tsjepa.envs import Renderer
+
+    renderer = Renderer()
+    renderer.render(np.array([[0.1, 0.1]]))
+    viewport, scene, context, buffer = renderer._viewport, renderer._scene, renderer._context, renderer._buffer
+
+    def make(frames: int) -> int:
+        for _ in range(frames):
+            mujoco.mjr_render(viewport, scene, context)
+            mujoco.mjr_readPixels(buffer, None, viewport, context)
+        return frames
+
+    return make, {}
+
+
+def serve(connection, name: str, arguments: tuple) -> None:
+    """Makes as many frames as it is told to, and answers with frames per second."""
+    make, metadata = globals()[name](*arguments)
+    make(1)
+    connection.send(metadata)
+    while frames := connection.recv():
+        start = time.perf_counter()
+        made = make(frames)
+        connection.send(made / (time.perf_counter() - start))
+
+
+def measure(devices: int, frame_stack: int, rounds: int, frames: int) -> dict:
+    """Frames per second and their ratios within each round; stock makes a tenth of the frames of the others."""
+    from report import spread
+
+    context = multiprocessing.get_context("spawn")
+    contenders, metadata = {}, {}
+    for name, arguments in (("fleet", (devices, frame_stack)), ("stock", ()), ("bare", ())):
+        connection, other = context.Pipe()
+        process = context.Process(target=serve, args=(other, name, arguments), daemon=True)
+        process.start()
+        other.close()
+        metadata |= connection.recv()
+        contenders[name] = (process, connection)
+    speeds = {name: [] for name in contenders}
+    for _ in range(rounds):
+        for name, (_, connection) in contenders.items():
+            connection.send(frames // 10 if name == "stock" else frames)
+            speeds[name].append(connection.recv())
+    for process, connection in contenders.values():
+        connection.send(0)
+        process.join()
+    ratio = {
+        name: spread([ours / theirs for ours, theirs in zip(speeds["fleet"], speeds[name], strict=True)])
+        for name in ("stock", "bare")
+    }
+    return {
+        "devices": devices,
+        "frame_stack": frame_stack,
+        "camera": metadata,
+        "frames_per_second": {name: spread(values) for name, values in speeds.items()},
+        "fleet_over_stock": {**ratio["stock"], "target": 15},
+        "fleet_over_bare": {**ratio["bare"], "target": 0.85},
+    }
+
+
+def main() -> None:
+    from report import publish
+
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--devices", type=int, default=64, help="I")
+    parser.add_argument("--frame-stack", type=int, default=1, help="frames a device and slot")
+    parser.add_argument("--rounds", type=int, default=15)
+    parser.add_argument("--frames", type=int, default=1280, help="frames a round and contender; a tenth for stock")
+    parser.add_argument("--output", default="docs/results/camera.json")
+    options = parser.parse_args()
+    publish(options.output, measure(options.devices, options.frame_stack, options.rounds, options.frames))
+
+
+if __name__ == "__main__":
+    main()

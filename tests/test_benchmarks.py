@@ -1,0 +1,36 @@
+"""The benchmarks run, at a size at which their figures mean nothing."""
+
+import json
+import subprocess
+import sys
+
+import tiny
+
+HOME = tiny.ROOT / "tests" / "benchmarks"
+
+
+def run(script: str, folder, *options: str) -> dict:
+    output = folder / "out" / "result.json"
+    command = [sys.executable, str(HOME / script), *options, "--output", str(output)]
+    subprocess.run(command, cwd=folder, check=True, stdout=subprocess.DEVNULL)
+    return json.loads(output.read_text())
+
+
+def test_camera(tmp_path):
+    result = run("camera.py", tmp_path, "--devices", "3", "--rounds", "2", "--frames", "20")
+    assert result["devices"] == 3
+    assert set(result["frames_per_second"]) == {"fleet", "stock", "bare"}
+    assert all(values["min"] > 0 and values["rounds"] == 2 for values in result["frames_per_second"].values())
+    for other in ("stock", "bare"):
+        ratio = result[f"fleet_over_{other}"]
+        assert 0 < ratio["min"] <= ratio["median"] <= ratio["max"]
+
+
+def test_training_step(tmp_path):
+    for name in ("recipes/jepa.yaml", "recipes/data.yaml"):
+        tiny.write(tmp_path, name, tiny.shrink(tiny.load(name)))
+    small = ["--steps", "4", "--warmup", "0", "--threads", "1", "--data.init_args.frames_per_batch", "16"]
+    result = run("training_step.py", tmp_path, *small)
+    assert result["samples_per_step"] == 16
+    assert result["training_over_resident"]["median"] > 0
+    assert 0 < result["peak_memory_gib"] < 6
