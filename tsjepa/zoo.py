@@ -137,6 +137,7 @@ def save(model: SemanticController, folder: str | Path, metrics: dict | None = N
         for name, tensor in model.state_dict().items()
     }
     save_file(weights, partial / WEIGHTS)
+    (partial / WEIGHTS).chmod(0o644)  # safetensors lets only the owner read
     digests = {name: hashlib.sha256((partial / name).read_bytes()).hexdigest() for name in HASHED}
     # no newline at its end: a manifest that is cut anywhere is no longer JSON
     (partial / MANIFEST).write_text(json.dumps({"sha256": digests}, indent=2))
