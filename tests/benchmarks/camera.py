@@ -75,6 +75,7 @@ def bare() -> tuple[Callable[[int], int], dict]:
     viewport, scene, context, buffer = renderer._viewport, renderer._scene, renderer._context, renderer._buffer
 
     def make(frames: int) -> int:
+        renderer._gl.make_current()  # and it keeps the renderer alive, with which its context would be freed
         for _ in range(frames):
             mujoco.mjr_render(viewport, scene, context)
             mujoco.mjr_readPixels(buffer, None, viewport, context)
