@@ -150,10 +150,10 @@ class TSJEPA(lightning.LightningModule):
     def configure_optimizers(self):
         parameters = [parameter for parameter in self.parameters() if parameter.requires_grad]
         optimizer = self.optimizer(parameters)
-        total = self.trainer.estimated_stepping_batches
         if self.scheduler is not None:
-            # "interval": "epoch" would step after the checkpoint is written, and a resumed run be one epoch behind
-            epoch = {"interval": "step", "frequency": int(self.trainer.num_training_batches)}
-            return {"optimizer": optimizer, "lr_scheduler": {"scheduler": self.scheduler(optimizer), **epoch}}
-        schedule = warmup_cosine_schedule(optimizer, total)
+            return {
+                "optimizer": optimizer,
+                "lr_scheduler": {"scheduler": self.scheduler(optimizer), "interval": "epoch"},
+            }
+        schedule = warmup_cosine_schedule(optimizer, self.trainer.estimated_stepping_batches)
         return {"optimizer": optimizer, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}
