@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from functools import partial
 
 import torch
@@ -11,11 +11,12 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from tsjepa.envs.expert import Expert, linearised_plant, reference_lqr
-from tsjepa.evaluation.closed_loop import Starts, run, true_state_policy
+from tsjepa.evaluation.closed_loop import run, true_state_policy
+from tsjepa.evaluation.fleet_codecs import FRAME_CODECS, update_bits
+from tsjepa.evaluation.fleet_settings import Plants, Radio
 from tsjepa.evaluation.metrics import Run
 from tsjepa.models import SemanticController
-from tsjepa.network import SCHEDULERS, Deployment, GilbertElliott, IidLoss, units_per_slot
-from tsjepa.network.codecs import make_codec, payload_bits
+from tsjepa.network import SCHEDULERS, units_per_slot
 from tsjepa.network.transforms import (
     Camera,
     Channel,
@@ -29,67 +30,7 @@ from tsjepa.network.transforms import (
 )
 
 HOLD, LINEAR = "hold", "linear"
-FRAME_CODECS = ("raw", "png", "jpeg", "webp")
-STATE_RANGE = (1.8, 0.8, 4.0, 4.0)  # m, rad, m/s, rad/s: what an integer codec of the true state covers
-CALIBRATION_SEED = 10_000  # starts that no evaluation uses
 RECORDED = ("scheduled", "delivered", "age_of_information", "payload_bits")
-
-
-@dataclass(frozen=True)
-class Radio:
-    """The uplink that the devices share.
-
-    Args:
-        resource_blocks: J, devices that may transmit in a slot; None lets each take as many resource units as its
-            payload and channel need (paper-notes, decision 16).
-        payload_bits: bits that the scheduler reserves for an update where ``resource_blocks`` is None; None takes
-            them from the codec, which is possible unless the codec's packets vary in length.
-        codec: of what is sent, see :func:`tsjepa.network.codecs.make_codec`; a frame codec sends frames and leaves
-            the encoder to the controller.
-        snr_target_db: mean SNR that power control gives every device; None transmits at ``tx_power_dbm``.
-        tx_power_dbm: fixed transmit power.
-        snr_threshold_db: SNR below which a packet is lost.
-        csi: what the scheduler knows of the channel: "perfect", "delayed" or "statistical".
-        csi_delay: slots by which delayed knowledge lags.
-        max_doppler_hz: 0 for fading that is independent from slot to slot.
-        deployment: positions and propagation.
-        loss: packet loss beside the SNR.
-        lossless: everything that is scheduled arrives.
-    """
-
-    resource_blocks: int | None = 10
-    payload_bits: int | None = None
-    codec: str = "fp32"
-    snr_target_db: float | None = 10.0
-    tx_power_dbm: float = 23.0
-    snr_threshold_db: float = 5.0
-    csi: str = "perfect"
-    csi_delay: int = 1
-    max_doppler_hz: float = 0.0
-    deployment: Deployment = field(default_factory=Deployment)
-    loss: IidLoss | GilbertElliott | None = None
-    lossless: bool = False
-
-
-@dataclass(frozen=True)
-class Plants:
-    """The cart-poles, their controller apart.
-
-    Args:
-        slots: length of the episode that is scored.
-        sampling_interval: seconds per slot.
-        process_noise_std: of the noise on both velocities after every slot, m/s and rad/s.
-        frame_history: frames before and including step 0, the warm-up under zero force.
-    """
-
-    slots: int = 100
-    sampling_interval: float = 0.02
-    process_noise_std: float = 0.008
-    frame_history: int = 2
-
-    def starts(self, seed: int, count: int) -> Starts:
-        """Starts of the devices 0 .. count - 1; device i is the same plant whatever ``count`` is."""
-        return Starts(seed, count, self.slots, self.frame_history, self.sampling_interval, self.process_noise_std)
 
 
 @dataclass
@@ -122,71 +63,6 @@ class FleetRun:
         return float(self.used.float().mean() / self.capacity)
 
 
-class UnitNorm(torch.nn.Module):
-    """A codec whose receiver brings what it decodes back to unit length, as the predictor and the actor expect."""
-
-    def __init__(self, codec: torch.nn.Module) -> None:
-        super().__init__()
-        self.codec = codec
-
-    def encode(self, values: Tensor):
-        return self.codec.encode(values)
-
-    def decode(self, packets) -> Tensor:
-        return torch.nn.functional.normalize(self.codec.decode(packets), dim=-1)
-
-
-def fitted_codec(name: str, plants: Plants, model: SemanticController | None) -> torch.nn.Module:
-    """The codec of the update: of the true state, of the model's embedding, or of frames.
-
-    Integer codecs get their ranges from the state space, or from embeddings along loops that the expert closes.
-    """
-    if name in FRAME_CODECS:
-        if model is None:
-            raise ValueError(f"The codec {name!r} sends frames, which need the encoder of a model as controller.")
-        return make_codec(name, frame_stack=model.architecture.frame_stack)
-    if model is None:
-        codec = make_codec(name, dimension=4)
-        return codec.fit(torch.tensor(STATE_RANGE) * torch.tensor([[-1.0], [1.0]])) if name[:3] == "int" else codec
-    codec = make_codec(name, dimension=model.architecture.embedding_dim)
-    return UnitNorm(codec.fit(calibration_embeddings(plants, model)) if name[:3] == "int" else codec)
-
-
-@torch.no_grad()
-def calibration_embeddings(plants: Plants, model: SemanticController, count: int = 20) -> Tensor:
-    """Embeddings [N, d] of every fifth slot of expert loops from starts that no evaluation uses."""
-    from tsjepa.envs import Renderer
-    from tsjepa.evaluation.closed_loop import SemanticPolicy
-
-    watcher, expert = SemanticPolicy(model, Renderer().render, 1), Expert(plants.sampling_interval)
-    embeddings = []
-
-    def watched(slot: int, observation: TensorDictBase) -> Tensor:
-        if slot % 5 == 0:
-            embeddings.append(model.encode(watcher.frames(observation)))
-        return expert(observation["state"])
-
-    run(replace(plants, frame_history=model.frame_history).starts(CALIBRATION_SEED, count), watched)
-    return torch.cat(embeddings)
-
-
-def update_bits(radio: Radio, codec: torch.nn.Module, model: SemanticController | None) -> int | None:
-    """Bits the scheduler reserves for an update; None where every device takes one block."""
-    if radio.resource_blocks is not None:
-        return None
-    if radio.payload_bits is not None:
-        return radio.payload_bits
-    if radio.codec in ("png", "jpeg", "webp"):
-        raise ValueError(
-            f"Packets of the codec {radio.codec!r} vary in length: give radio.payload_bits, the bits to reserve for "
-            "one, or radio.resource_blocks."
-        )
-    if radio.codec == "raw":
-        return payload_bits(codec.encode(torch.zeros((1, *codec.shape), dtype=torch.uint8)))[0].item()
-    dimension = 4 if model is None else model.architecture.embedding_dim
-    return payload_bits(codec.encode(torch.ones(1, dimension)))[0].item()
-
-
 def check_scheduler(name: str) -> None:
     """ValueError that names the schedulers unless there is one of this name."""
     if name not in SCHEDULERS:
@@ -211,7 +87,7 @@ def build_fleet(
         scheduler: a name in ``tsjepa.network.SCHEDULERS``; the oracle serves everybody and loses nothing.
         seed: of the plants, the channel, and the random scheduler.
         plants, radio: the experiment.
-        codec: from :func:`fitted_codec`.
+        codec: from :func:`tsjepa.evaluation.fleet_codecs.fitted_codec`.
         controller: "hold" (the expert's command on the received state, held between updates), "linear" (the expert on
             the received state, predicted by the linearised plant between updates), or a TS-JEPA model.
 

@@ -14,19 +14,11 @@ from torch import Tensor
 from tqdm import tqdm
 
 from tsjepa.evaluation import fleet_search
-from tsjepa.evaluation.fleet import (
-    HOLD,
-    LINEAR,
-    FleetRun,
-    Plants,
-    Radio,
-    check_scheduler,
-    fitted_codec,
-    optimal_scores,
-    run_fleet,
-)
+from tsjepa.evaluation.fleet import HOLD, LINEAR, FleetRun, check_scheduler, optimal_scores, run_fleet
+from tsjepa.evaluation.fleet_codecs import fitted_codec
 from tsjepa.evaluation.fleet_film import fleet_film
 from tsjepa.evaluation.fleet_pictures import age_plot, capacity_plot, device_plot
+from tsjepa.evaluation.fleet_settings import Plants, Radio
 from tsjepa.evaluation.metrics import interval, normalized_score
 from tsjepa.evaluation.provenance import provenance
 from tsjepa.files import write_text
