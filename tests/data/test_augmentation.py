@@ -52,7 +52,9 @@ def test_brightness_scales_within_its_range():
 def test_hue_keeps_the_luma_and_turns_the_hue_by_at_most_its_range():
     rgb = torch.tensor([0.6, 0.4, 0.3])
     turned = colours(Augmentation(**{**OFF, "hue": 0.05}), rgb)
-    torch.testing.assert_close(turned @ torch.tensor(LUMA), (rgb @ torch.tensor(LUMA)).expand(200), atol=1e-3, rtol=1e-3)
+    torch.testing.assert_close(
+        turned @ torch.tensor(LUMA), (rgb @ torch.tensor(LUMA)).expand(200), atol=1e-3, rtol=1e-3
+    )
     hues = np.array([colorsys.rgb_to_hsv(*colour)[0] for colour in turned.tolist()])
     change = (hues - colorsys.rgb_to_hsv(*rgb.tolist())[0] + 0.5) % 1 - 0.5
     assert 0.02 < np.abs(change).max() < 0.08  # the chroma plane's turn is not exactly HSV's

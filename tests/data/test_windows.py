@@ -25,7 +25,15 @@ def test_a_window_holds_the_frames_and_commands_of_its_slots():
 
 
 def sampler(**changes) -> WindowSampler:
-    settings = {"episodes": 4, "frames": 30, "first": 2, "stacks": 4, "windows_per_batch": 8, "steps": (1, 3), "seed": 5}
+    settings = {
+        "episodes": 4,
+        "frames": 30,
+        "first": 2,
+        "stacks": 4,
+        "windows_per_batch": 8,
+        "steps": (1, 3),
+        "seed": 5,
+    }
     return WindowSampler(**{**settings, **changes})
 
 

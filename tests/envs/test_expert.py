@@ -17,7 +17,8 @@ mujoco_rollout = pytest.importorskip("mujoco.rollout")
 
 PLANT = """
 <mujoco><option timestep="0.002" integrator="RK4"><flag contact="disable"/></option><worldbody>
-  <body><joint name="slide" type="slide" limited="true" axis="1 0 0" range="-1.8 1.8" solreflimit=".08 1" damping="5e-4"/>
+  <body>
+    <joint name="slide" type="slide" limited="true" axis="1 0 0" range="-1.8 1.8" solreflimit=".08 1" damping="5e-4"/>
     <geom type="box" size="0.2 0.15 0.1" mass="1"/>
     <body><joint type="hinge" axis="0 1 0" damping="2e-6"/>
       <geom type="capsule" fromto="0 0 0 0 0 1" size="0.045" mass=".1"/></body></body>
