@@ -39,9 +39,11 @@ def card(name: str, figures: dict) -> str:
         "",
         "```python",
         "import tsjepa",
+        "",
         f'model = tsjepa.load("{name}")',
-        "z = model.encode(frames)                          # uint8 [..., kappa, H, W, 3] -> [..., d]",
-        "u = model.act(z);  z_next = model.predict(z, u)   # newtons in, newtons out",
+        "z = model.encode(frames)  # uint8 [..., kappa, H, W, 3] -> [..., d]",
+        "u = model.act(z)",
+        "z_next = model.predict(z, u)  # newtons in, newtons out",
         "```",
         "",
         f"Closed loop on {figures['starts']} held-out starts; normalised by {figures['optimal_policy']} with perfect "
