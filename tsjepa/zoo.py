@@ -26,6 +26,7 @@ CONFIG, WEIGHTS, METRICS, CARD, MANIFEST = (
     "manifest.json",
 )
 HASHED = (CONFIG, WEIGHTS, METRICS)
+OPTIONAL = ("decoder.", "code_")  # parts that an entry may lack; each says so when it is used
 
 
 class DamagedEntryError(ValueError):
@@ -105,7 +106,9 @@ def load(name_or_path: str | Path) -> SemanticController:
         )
     config = {name: tuple(value) if isinstance(value, list) else value for name, value in config.items()}
     model = SemanticController(Architecture(**config))
-    model.load_state_dict({name: tensor.float() for name, tensor in load_file(folder / WEIGHTS).items()})
+    weights = {name: tensor.float() for name, tensor in load_file(folder / WEIGHTS).items()}
+    absent = {name: value for name, value in model.state_dict().items() if name.startswith(OPTIONAL)}
+    model.load_state_dict(absent | weights)
     return model.eval().requires_grad_(False)
 
 

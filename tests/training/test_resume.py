@@ -101,7 +101,9 @@ def differences(first, second, path: str = "") -> list[str]:
             for p in differences(*pair, f"{path}/{index}")
         ]
     if isinstance(first, torch.Tensor):
-        return [] if torch.equal(first, second) else [path]
+        # ranges of a codec that nobody has fitted are NaN on both sides
+        same = first.shape == second.shape and torch.allclose(first, second, rtol=0, atol=0, equal_nan=True)
+        return [] if same else [path]
     return [] if first == second else [path]
 
 

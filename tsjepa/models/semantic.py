@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
+import torch
 from torch import Tensor, nn
 
 from tsjepa.models.actor import Actor
@@ -33,6 +35,9 @@ class SemanticController(nn.Module):
         architecture: sizes of the parts. ``frame_spacing`` is how many slots lie between the frames of a stack and
             ``sampling_interval`` the slot in seconds; both belong to how the weights were trained.
         actor_dropout: only matters while the actor is trained.
+
+    ``code_low`` and ``code_high`` [d] are the ranges over which an integer codec sends an embedding; NaN until
+    :class:`tsjepa.training.codec.FitCodec` has set them.
     """
 
     def __init__(self, architecture: Architecture, actor_dropout: float = 0.0) -> None:
@@ -43,6 +48,8 @@ class SemanticController(nn.Module):
         self.predictor = Predictor(dim, architecture.predictor_hidden_dim, architecture.predictor_residual)
         self.actor = Actor(dim, architecture.actor_hidden_dims, actor_dropout)
         self.probe = StateProbe(dim)
+        self.register_buffer("code_low", torch.full((dim,), math.nan))
+        self.register_buffer("code_high", torch.full((dim,), math.nan))
 
     @property
     def frame_history(self) -> int:
