@@ -113,6 +113,10 @@ def _run_lightning(program: str, command: str, options: list[str]) -> None:
     os.environ.setdefault("WANDB_MODE", "offline")
     from lightning.pytorch.cli import LightningArgumentParser, LightningCLI, SaveConfigCallback
 
+    from tsjepa.training.allocator import keep_freed_memory
+
+    keep_freed_memory()
+
     class Parser(LightningArgumentParser):
         error = _error_method(f"{program} {command}")
 

@@ -17,6 +17,7 @@ import torch
 from report import publish, spread
 from torch import nn
 
+from tsjepa.training.allocator import keep_freed_memory
 from tsjepa.training.jepa import TSJEPA
 
 COUNT_BYTES = 1024  # ru_maxrss is in kibibytes on Linux
@@ -55,7 +56,7 @@ class TakeTurns(lightning.Callback):
     """Times every step of the trainer, and one of the twin after it."""
 
     def __init__(self, warmup: int) -> None:
-        self.warmup, self.trained, self.resident = warmup, [], []
+        self.warmup, self.trained, self.resident_seconds = warmup, [], []
         self.twin = None
 
     def on_train_batch_end(self, trainer, module, outputs, batch, batch_idx: int) -> None:
@@ -67,22 +68,22 @@ class TakeTurns(lightning.Callback):
         start = now()
         self.step(trainer, batch)
         if timed:
-            self.resident.append(now() - start)
+            self.resident_seconds.append(now() - start)
         self.started = now()
 
     def make_twin(self, trainer, module, batch) -> None:
-        frames = batch["frames"]
+        shape = batch["patches"].shape
         generator = torch.Generator().manual_seed(0)
         with trainer.strategy.precision_plugin.forward_context():
-            patches = module.augmentation(frames.flatten(0, 1), generator, shared=frames.shape[1])
+            patches = module.augmentation(batch["patches"].flatten(0, 1), generator, shared=shape[1])
         self.twin = copy.deepcopy(module)
         self.twin.__class__ = Twin
         self.twin.augmentation = Ready(torch.randn(patches.shape, generator=generator).to(patches))
-        self.frames = torch.randint(0, 256, frames.shape, dtype=torch.uint8, generator=generator).to(frames.device)
+        self.resident = torch.randint(0, 256, shape, dtype=torch.uint8, generator=generator).to(patches.device)
         self.optimizer = self.twin.optimizer([p for p in self.twin.parameters() if p.requires_grad])
 
     def step(self, trainer, batch) -> None:
-        resident = {"frames": self.frames, "commands": torch.zeros_like(batch["commands"])}
+        resident = {"patches": self.resident, "commands": torch.zeros_like(batch["commands"])}
         with trainer.strategy.precision_plugin.forward_context():
             loss = self.twin.training_step(resident, 0)
         self.optimizer.zero_grad()
@@ -95,6 +96,7 @@ def measure(recipe: str, steps: int, warmup: int, overrides: list[str]) -> dict:
     """Trains by the recipe for a few steps and compares."""
     from lightning.pytorch.cli import LightningCLI
 
+    keep_freed_memory()
     turns = TakeTurns(warmup)
     cli = LightningCLI(
         run=False,
@@ -121,7 +123,7 @@ def measure(recipe: str, steps: int, warmup: int, overrides: list[str]) -> dict:
             f"an epoch of this data set has too few steps for a warm-up of {warmup}; collect more episodes."
         )
     samples = cli.datamodule.frames_per_batch
-    ratios = [theirs / ours for ours, theirs in zip(turns.trained, turns.resident, strict=True)]
+    ratios = [theirs / ours for ours, theirs in zip(turns.trained, turns.resident_seconds, strict=True)]
     return {
         "recipe": recipe,
         "device": str(cli.trainer.strategy.root_device),
@@ -129,11 +131,11 @@ def measure(recipe: str, steps: int, warmup: int, overrides: list[str]) -> dict:
         "samples_per_step": samples,
         "samples_per_second": {
             "training": spread([samples / seconds for seconds in turns.trained]),
-            "resident": spread([samples / seconds for seconds in turns.resident]),
+            "resident": spread([samples / seconds for seconds in turns.resident_seconds]),
         },
         "training_over_resident": {
             **spread(ratios),
-            "of_total_times": sum(turns.resident) / sum(turns.trained),
+            "of_total_times": sum(turns.resident_seconds) / sum(turns.trained),
             "target": 0.95 if torch.cuda.is_available() else 0.85,
         },
         "peak_memory_gib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * COUNT_BYTES / 2**30,

@@ -27,7 +27,13 @@ def colours(augmentation: Augmentation, rgb: torch.Tensor, seed: int = 0) -> tor
 
 def test_without_strength_it_is_the_encoders_own_normalisation():
     expected = Encoder(widths=(4, 4, 4)).normalize(frames())
-    torch.testing.assert_close(Augmentation(**OFF)(frames(), generator()), expected, atol=1e-4, rtol=1e-4)
+    torch.testing.assert_close(Augmentation(**OFF)(patchify(frames()), generator()), expected, atol=1e-4, rtol=1e-4)
+
+
+def test_a_blurred_batch_is_the_blurred_frames_normalised():
+    augmentation, encoder = Augmentation(**OFF, blur_sigma=(1.0, 1.0)), Encoder(widths=(4, 4, 4))
+    expected = encoder.normalize(augmentation.blur(frames(), generator()))
+    torch.testing.assert_close(augmentation(patchify(frames()), generator()), expected, atol=1e-4, rtol=1e-4)
 
 
 def test_colour_dropping_keeps_the_luma():
@@ -62,7 +68,7 @@ def test_hue_keeps_the_luma_and_turns_the_hue_by_at_most_its_range():
 
 def test_consecutive_samples_share_a_draw():
     same = frames(1).expand(6, -1, -1, -1, -1)
-    out = Augmentation()(same, generator(), shared=3)
+    out = Augmentation()(patchify(same), generator(), shared=3)
     assert torch.equal(out[0], out[2]) and torch.equal(out[3], out[5]) and not torch.allclose(out[0], out[3])
 
 
@@ -82,9 +88,8 @@ def test_the_printed_blur_is_the_identity_and_a_wide_one_is_opencvs():
 
 @pytest.mark.parametrize("dtype", [torch.bfloat16])
 def test_under_autocast_it_stays_close_to_single_precision(dtype):
-    exact = Augmentation()(frames(), generator())
+    exact = Augmentation()(patchify(frames()), generator())
     with torch.autocast("cpu", dtype):
-        rounded = Augmentation()(frames(), generator())
+        rounded = Augmentation()(patchify(frames()), generator())
     assert rounded.dtype == dtype
     assert (rounded.float() - exact).abs().mean() < 0.02
-    assert patchify(frames()).shape == exact.shape

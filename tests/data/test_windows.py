@@ -3,6 +3,7 @@ import torch
 from tensordict import TensorDict
 
 from tsjepa.data.windows import Window, WindowDataset, WindowSampler
+from tsjepa.models.encoder import unpatchify
 
 
 def numbered_split(episodes: int = 3, frames: int = 20) -> TensorDict:
@@ -16,7 +17,7 @@ def numbered_split(episodes: int = 3, frames: int = 20) -> TensorDict:
 def test_a_window_holds_the_frames_and_commands_of_its_slots():
     dataset = WindowDataset(numbered_split(), stacks=3, frame_stack=2, frame_spacing=2)
     batch = dataset[Window(torch.tensor([1, 2]), torch.tensor([5, 2]), step=4)]
-    numbers = batch["frames"][..., 0, 0, 0].long()
+    numbers = unpatchify(batch["patches"].flatten(0, 1))[..., 0, 0, 0].unflatten(0, (2, 3)).long()
     # episode 1 starts at frame 20: stacks end at slots 5, 9, 13, each with the frame two slots before
     assert numbers[0].tolist() == [[23, 25], [27, 29], [31, 33]]
     assert batch["commands"][0, :, 0].tolist() == list(range(25, 33))

@@ -2,7 +2,7 @@ import pytest
 import torch
 
 from tsjepa.models import Encoder
-from tsjepa.models.encoder import PIXEL_MEAN, PIXEL_STD, patchify
+from tsjepa.models.encoder import PIXEL_MEAN, PIXEL_STD, patchify, unpatchify
 
 
 def frames(count: int, stack: int = 2, seed: int = 0) -> torch.Tensor:
@@ -12,6 +12,7 @@ def frames(count: int, stack: int = 2, seed: int = 0) -> torch.Tensor:
 
 def test_patchify_puts_every_pixel_where_its_indices_say():
     stacks = frames(2)
+    assert torch.equal(unpatchify(patchify(stacks)), stacks)
     patches = patchify(stacks).reshape(2, 16, 32, 2, 4, 4, 3)
     for sample, frame, row, column, color in [(0, 0, 0, 0, 0), (1, 1, 63, 127, 2), (0, 1, 17, 90, 1)]:
         expected = stacks[sample, frame, row, column, color]

@@ -74,8 +74,8 @@ def test_one_step_gives_the_target_no_gradient_and_leaves_it_as_it_was(module, m
     monkeypatch.setattr(module, "log", lambda *args, **kwargs: None)
     monkeypatch.setattr(module, "log_dict", lambda *args, **kwargs: None)
     monkeypatch.setattr(TSJEPA, "global_step", 3)
-    frames = torch.randint(0, 256, (2, 3, 2, 64, 128, 3), dtype=torch.uint8, generator=torch.Generator().manual_seed(0))
-    batch = {"frames": frames, "commands": torch.ones(2, 4, 1)}
+    patches = torch.randint(0, 256, (2, 3, 16, 32, 96), dtype=torch.uint8, generator=torch.Generator().manual_seed(0))
+    batch = {"patches": patches, "commands": torch.ones(2, 4, 1)}
     before = copy.deepcopy(module.target_encoder.state_dict())
     loss = module.training_step(batch, 0)
     loss.backward()
@@ -97,8 +97,8 @@ def test_the_target_stays_in_evaluation_mode(module):
 def test_the_loss_of_a_step_depends_on_the_step_and_not_on_the_global_stream(module, monkeypatch):
     monkeypatch.setattr(module, "log", lambda *args, **kwargs: None)
     monkeypatch.setattr(module, "log_dict", lambda *args, **kwargs: None)
-    frames = torch.randint(0, 256, (2, 3, 2, 64, 128, 3), dtype=torch.uint8, generator=torch.Generator().manual_seed(0))
-    batch = {"frames": frames, "commands": torch.ones(2, 2, 1)}
+    patches = torch.randint(0, 256, (2, 3, 16, 32, 96), dtype=torch.uint8, generator=torch.Generator().manual_seed(0))
+    batch = {"patches": patches, "commands": torch.ones(2, 2, 1)}
     start = copy.deepcopy(module.state_dict())
 
     def loss(step: int, seed: int) -> float:

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from tsjepa.models.encoder import PATCH, PIXEL_MEAN, PIXEL_STD, patchify
+from tsjepa.models.encoder import PATCH, PIXEL_MEAN, PIXEL_STD, patchify, unpatchify
 
 LUMA = (0.299, 0.587, 0.114)  # ITU-R BT.601, the luma component that colour dropping keeps
 MID_GREY = 0.5  # contrast turns about it
@@ -51,23 +51,22 @@ class Augmentation(nn.Module):
         self.register_buffer("mean", torch.tensor(PIXEL_MEAN), persistent=False)
         self.register_buffer("std", torch.tensor(PIXEL_STD), persistent=False)
 
-    def forward(self, frames: Tensor, generator: torch.Generator, shared: int = 1) -> Tensor:
+    def forward(self, patches: Tensor, generator: torch.Generator, shared: int = 1) -> Tensor:
         """Augments and normalises stacks of frames.
 
         Args:
-            frames: uint8 [N, frame_stack, H, W, 3].
+            patches: uint8 [N, H / 4, W / 4, 48 * frame_stack], from :func:`patchify`.
             generator: source of the draws, on the CPU.
             shared: this many consecutive samples share one draw (a window of one trajectory keeps its colours).
 
         Returns:
-            Patches [N, H / 4, W / 4, 48 * frame_stack] for ``Encoder.embed``; in the autocast dtype, else float32.
+            Patches of the same shape for ``Encoder.embed``; in the autocast dtype, else float32.
         """
-        count, device = len(frames), frames.device
+        count, device = len(patches), patches.device
         draws = self.draw(count // shared, generator).to(device).repeat_interleave(shared, 0)
         dtype = torch.get_autocast_dtype(device.type) if torch.is_autocast_enabled(device.type) else torch.float32
         if self.blur_sigma is not None:
-            frames = self.blur(frames, generator)
-        patches = patchify(frames)
+            patches = patchify(self.blur(unpatchify(patches), generator))
         # one colour map for the 16 pixels of a patch: a block-diagonal 48x48 product keeps the matrix units busy
         matrix = torch.zeros(count, PATCH**2, 3, PATCH**2, 3, dtype=dtype, device=device)
         matrix.diagonal(dim1=1, dim2=3).copy_(draws[:, :, :3].transpose(1, 2)[..., None])

@@ -10,6 +10,8 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torch.utils.data import Dataset, Sampler
 
+from tsjepa.models.encoder import patchify
+
 
 @dataclass(frozen=True)
 class Window:
@@ -98,24 +100,35 @@ class WindowDataset(Dataset):
 
     def __init__(self, split: TensorDictBase, stacks: int, frame_stack: int, frame_spacing: int) -> None:
         episodes, frames = split.batch_size
-        # plain tensors over the memory map: indexing them copies only the rows asked for
-        self.pixels = torch.from_numpy(split["pixels"].numpy()).view(episodes * frames, *split["pixels"].shape[2:])
+        # cut into patches once: a stack's patches are then its frames' side by side, three times faster to gather
+        pixels = torch.from_numpy(split["pixels"].numpy()).view(episodes * frames, 1, *split["pixels"].shape[2:])
+        self.patches = torch.cat([patchify(part) for part in pixels.split(1024)])
         self.action = split["action"].view(episodes * frames, 1).clone()
         self.expert_action = split["expert_action"].view(episodes * frames, 1).clone()
         self.frames, self.stacks = frames, stacks
         self.offsets = frame_spacing * torch.arange(1 - frame_stack, 1)
 
     def __getitem__(self, window: Window) -> TensorDict:
-        """Batch [B] with ``frames`` uint8 [W, kappa, H, W, 3], and in newtons the ``commands`` [step * (W - 1), 1] that
-        were applied from the first to the last stack and the ``expert_action`` [W, 1] of the supervised baseline."""
+        """Gathers one batch [B].
+
+        Returns:
+            The stacks' ``patches`` uint8 [W, H / 4, W / 4, 48 * kappa] (see :func:`patchify`), and in newtons the
+            ``commands`` [step * (W - 1), 1] that were applied from the first to the last stack and the
+            ``expert_action`` [W, 1] of the supervised baseline.
+        """
         newest = window.episode * self.frames + window.start
         stacks = newest[:, None] + window.step * torch.arange(self.stacks)
         slots = newest[:, None] + torch.arange(window.step * (self.stacks - 1))
         return TensorDict(
             {
-                "frames": self.pixels[stacks[..., None] + self.offsets],
+                "patches": self.stack(stacks),
                 "commands": self.action[slots],
                 "expert_action": self.expert_action[stacks],
             },
             batch_size=[len(newest)],
         )
+
+    def stack(self, newest: Tensor) -> Tensor:
+        """Patches [..., H / 4, W / 4, 48 * kappa] of the stacks that end at the frames numbered ``newest`` [...]."""
+        parts = [self.patches.index_select(0, (newest + offset).flatten()) for offset in self.offsets]
+        return torch.cat(parts, dim=-1).unflatten(0, newest.shape)

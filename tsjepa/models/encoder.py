@@ -30,6 +30,13 @@ def patchify(frames: Tensor) -> Tensor:
     return torch.stack(slices, dim=3).flatten(3)
 
 
+def unpatchify(patches: Tensor) -> Tensor:
+    """Puts patches [N, H / 4, W / 4, frame_stack * 48] together again: [N, frame_stack, H, W, 3]."""
+    count, rows, columns, channels = patches.shape
+    cut = patches.reshape(count, rows, columns, channels // (3 * PATCH**2), PATCH, PATCH, 3)
+    return cut.permute(0, 3, 1, 4, 2, 5, 6).reshape(count, -1, rows * PATCH, columns * PATCH, 3)
+
+
 class ResidualBlock(nn.Module):
     """Two 3x3 convolutions with batch normalisation and a projected shortcut (He et al., 2016)."""
 

@@ -69,10 +69,10 @@ class TSJEPA(lightning.LightningModule):
         self.predictor.command_std.copy_(commands.std())
 
     def training_step(self, batch: TensorDictBase, batch_index: int) -> Tensor:
-        frames, commands = batch["frames"], batch["commands"]
-        windows, stacks = frames.shape[:2]
+        commands = batch["commands"]
+        windows, stacks = batch["patches"].shape[:2]
         generator = torch.Generator().manual_seed(self.seed * 1_000_003 + self.global_step)
-        patches = self.augmentation(frames.flatten(0, 1), generator, shared=stacks)
+        patches = self.augmentation(batch["patches"].flatten(0, 1), generator, shared=stacks)
         embedding = self.encoder.embed(patches).unflatten(0, (windows, stacks))
         with torch.no_grad():
             target = self.target_encoder.module.embed(patches).unflatten(0, (windows, stacks))

@@ -41,7 +41,7 @@ class Supervised(lightning.LightningModule):
 
     def training_step(self, batch: TensorDictBase, batch_index: int) -> Tensor:
         generator = torch.Generator().manual_seed(self.seed * 1_000_003 + self.global_step)
-        embedding = self.encoder.embed(self.augmentation(batch["frames"].flatten(0, 1), generator))
+        embedding = self.encoder.embed(self.augmentation(batch["patches"].flatten(0, 1), generator))
         error = self.actor.unclipped(embedding) - batch["expert_action"].flatten(0, 1)
         loss = (error / COMMAND_LIMIT).square().mean()
         self.log("loss", loss, prog_bar=True)
