@@ -13,6 +13,7 @@ from tsjepa.data.augmentation import Augmentation
 from tsjepa.models import Architecture, Encoder, Predictor, SemanticController
 from tsjepa.training.embeddings import embed_split
 from tsjepa.training.losses import InverseDynamics, cosine_loss, covariance_loss, variance_loss
+from tsjepa.training.pretrained import start_from
 from tsjepa.training.schedule import warmup_cosine_schedule
 
 
@@ -33,6 +34,7 @@ class TSJEPA(lightning.LightningModule):
         variance_weight: weight of the variance term (0 in the paper).
         covariance_weight: weight of the covariance term (0 in the paper).
         inverse_weight: weight of the inverse-dynamics term (0 in the paper).
+        pretrained: zoo entry (name or folder) to start from, as far as sizes agree.
         seed: seed of the augmentation's own stream.
     """
 
@@ -47,9 +49,12 @@ class TSJEPA(lightning.LightningModule):
         variance_weight: float = 0.1,
         covariance_weight: float = 0.01,
         inverse_weight: float = 1.0,
+        pretrained: str | None = None,
         seed: int = 0,
     ) -> None:
         super().__init__()
+        if pretrained is not None:
+            start_from(pretrained, encoder=encoder, predictor=predictor)
         self.encoder, self.predictor, self.augmentation = encoder, predictor, augmentation
         self.target_encoder = AveragedModel(encoder, multi_avg_fn=get_ema_multi_avg_fn(ema_decay), use_buffers=True)
         self.target_encoder.requires_grad_(False)

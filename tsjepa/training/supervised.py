@@ -11,6 +11,7 @@ from tsjepa.data.augmentation import Augmentation
 from tsjepa.models import Actor, Architecture, Encoder, SemanticController
 from tsjepa.models.actor import COMMAND_LIMIT
 from tsjepa.training.embeddings import embed_split
+from tsjepa.training.pretrained import start_from
 from tsjepa.training.schedule import warmup_cosine_schedule
 
 
@@ -23,6 +24,7 @@ class Supervised(lightning.LightningModule):
         augmentation: as for TS-JEPA.
         learning_rate: peak of AdamW; warm-up and cosine decay as in TS-JEPA.
         weight_decay: of AdamW.
+        pretrained: zoo entry (name or folder) whose encoder to start from, as far as sizes agree.
         seed: seed of the augmentation's own stream.
     """
 
@@ -33,9 +35,12 @@ class Supervised(lightning.LightningModule):
         augmentation: Augmentation,
         learning_rate: float = 1e-3,
         weight_decay: float = 1e-2,
+        pretrained: str | None = None,
         seed: int = 0,
     ) -> None:
         super().__init__()
+        if pretrained is not None:
+            start_from(pretrained, encoder=encoder)
         self.encoder, self.actor, self.augmentation = encoder, actor, augmentation
         self.learning_rate, self.weight_decay, self.seed = learning_rate, weight_decay, seed
 
