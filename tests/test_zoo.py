@@ -138,7 +138,7 @@ def test_saving_over_an_entry_replaces_it_whole_or_not_at_all(tmp_path, monkeypa
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr("safetensors.torch.save_file", interrupted)
+        patch.setattr(zoo, "save_file", interrupted)
         with pytest.raises(KeyboardInterrupt):
             zoo.save(tiny(1), folder)
     assert all(torch.equal(value, before[name]) for name, value in tsjepa.load(folder).state_dict().items())

@@ -1,8 +1,8 @@
 """The model zoo: folders of weights and configuration that load in one line and prove that they are whole.
 
-An entry is ``config.yaml`` (sizes), ``model.safetensors`` (weights and statistics), ``metrics.json`` (figures and how
-they were measured), ``README.md`` (model card) and ``manifest.json`` (SHA-256 of the others, the card excepted).
-Nothing in it is ever unpickled.
+An entry is ``config.yaml`` (kind and sizes), ``model.safetensors`` (weights and statistics), ``metrics.json`` (figures
+and how they were measured), ``README.md`` (model card) and ``manifest.json`` (SHA-256 of the others, the card
+excepted). Nothing in it is ever unpickled.
 """
 
 from __future__ import annotations
@@ -13,20 +13,22 @@ import os
 import shutil
 from dataclasses import asdict, fields
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from tsjepa.models import SemanticController
+import torch
+import yaml
+from safetensors.torch import load_file, save_file
+from torch import nn
 
-CONFIG, WEIGHTS, METRICS, CARD, MANIFEST = (
-    "config.yaml",
-    "model.safetensors",
-    "metrics.json",
-    "README.md",
-    "manifest.json",
-)
+from tsjepa import hub
+from tsjepa.models import Architecture, SemanticController
+
+# What config.yaml may name as its kind, and the class and sizes that rebuild it; without a kind it is the first.
+KINDS = {"tsjepa": (SemanticController, Architecture)}
+FILES = ("config.yaml", "model.safetensors", "metrics.json", "README.md", "manifest.json")
+CONFIG, WEIGHTS, METRICS, CARD, MANIFEST = FILES
 HASHED = (CONFIG, WEIGHTS, METRICS)
 OPTIONAL = ("decoder.", "code_")  # parts that an entry may lack; each says so when it is used
+WEIGHT_DTYPES = {"float32": torch.float32, "float16": torch.float16}
 
 
 class DamagedEntryError(ValueError):
@@ -59,8 +61,17 @@ def find(name_or_path: str | Path) -> Path:
     )
 
 
-def verify(folder: Path) -> None:
+def fingerprint(folder: str | Path) -> str:
+    """SHA-256 of an entry's manifest, which pins every file in it but the card."""
+    return hashlib.sha256((Path(folder) / MANIFEST).read_bytes()).hexdigest()
+
+
+def verify(folder: Path, sha256: str | None = None) -> None:
     """Re-hashes an entry.
+
+    Args:
+        folder: of the entry.
+        sha256: what :func:`fingerprint` gave for the entry that is wanted; None trusts the manifest in the folder.
 
     Raises:
         DamagedEntryError: naming the first file that is missing or differs.
@@ -70,6 +81,11 @@ def verify(folder: Path) -> None:
         expected = {name: manifest["sha256"][name] for name in HASHED}
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise DamagedEntryError(f"{folder / MANIFEST} is missing or unreadable; fetch the entry anew.") from error
+    if sha256 is not None and fingerprint(folder) != sha256.lower():
+        raise DamagedEntryError(
+            f"{folder / MANIFEST} has the SHA-256 {fingerprint(folder)}, not {sha256}: this is another entry, or another "
+            "version; give the SHA-256 of this one, or fetch the entry anew."
+        )
     for name, digest in expected.items():
         path = folder / name
         if not path.is_file():
@@ -78,68 +94,84 @@ def verify(folder: Path) -> None:
             raise DamagedEntryError(f"{path} is not the file that the manifest names; fetch the entry anew.")
 
 
-def load(name_or_path: str | Path) -> SemanticController:
+def load(name_or_path: str | Path, sha256: str | None = None) -> nn.Module:
     """Loads a model, ready to use on the CPU and in evaluation mode.
 
     Args:
-        name_or_path: name of a shipped entry, or the folder of one.
+        name_or_path: name of a shipped entry, the folder of one, or ``hf://owner/name[@revision]``, which fetches it
+            from the Hugging Face Hub (see :mod:`tsjepa.hub`); nothing else is ever downloaded.
+        sha256: :func:`fingerprint` of the entry, to accept this one only.
 
     Returns:
-        A controller with ``encode``, ``predict``, ``act`` and ``probe``.
+        A controller of :data:`KINDS` with ``encode``, ``act``, ``predict`` and ``probe``, in float32. Its ``metrics``
+        and ``card`` are those of the entry.
 
     Raises:
         FileNotFoundError: no such entry.
         DamagedEntryError: a file is missing or has changed.
+        ValueError: the entry is whole, but of a kind or with settings that this version does not know.
     """
-    import yaml
-    from safetensors.torch import load_file
-
-    from tsjepa.models import Architecture, SemanticController
-
-    folder = find(name_or_path)
-    verify(folder)
+    folder = hub.download(*hub.parse(name_or_path)) if hub.is_address(name_or_path) else find(name_or_path)
+    verify(folder, sha256)
     config = yaml.safe_load((folder / CONFIG).read_text())
-    unknown = set(config) - {field.name for field in fields(Architecture)}
-    if unknown:
-        raise ValueError(
-            f"{folder / CONFIG} has settings that this version does not know: {', '.join(sorted(unknown))}."
-        )
-    config = {name: tuple(value) if isinstance(value, list) else value for name, value in config.items()}
-    model = SemanticController(Architecture(**config))
-    weights = {name: tensor.float() for name, tensor in load_file(folder / WEIGHTS).items()}
+    model = _rebuild(config, folder / CONFIG)
+    weights = {
+        name: value.float() if value.is_floating_point() else value
+        for name, value in load_file(folder / WEIGHTS).items()
+    }
     absent = {name: value for name, value in model.state_dict().items() if name.startswith(OPTIONAL)}
-    model.load_state_dict(absent | weights)
+    try:
+        model.load_state_dict(absent | weights)  # copies into float32
+    except RuntimeError as error:
+        raise ValueError(f"The weights in {folder / WEIGHTS} are not those of the model in {CONFIG}.") from error
+    model.metrics = json.loads((folder / METRICS).read_text())
+    model.card = (folder / CARD).read_text() if (folder / CARD).is_file() else ""
     return model.eval().requires_grad_(False)
 
 
-def save(model: SemanticController, folder: str | Path, metrics: dict | None = None, card: str = "") -> Path:
+def _rebuild(config: dict, path: Path) -> nn.Module:
+    kind = config.pop("kind", next(iter(KINDS)))
+    if kind not in KINDS:
+        raise ValueError(f"{path} names the kind {kind!r}; this version knows {', '.join(KINDS)}.")
+    controller, architecture = KINDS[kind]
+    unknown = set(config) - {field.name for field in fields(architecture)}
+    if unknown:
+        raise ValueError(f"{path} has settings that this version does not know: {', '.join(sorted(unknown))}.")
+    return controller(architecture(**{n: tuple(v) if isinstance(v, list) else v for n, v in config.items()}))
+
+
+def save(
+    model: nn.Module, folder: str | Path, metrics: dict | None = None, card: str = "", dtype: str = "float32"
+) -> Path:
     """Writes an entry beside ``folder`` and renames it: a reader finds the old one or the new one, never half of one.
 
     Args:
-        model: what :func:`load` will give back; weights are stored in 16 bits where that loses nothing by their dtype.
+        model: of a class in :data:`KINDS`; what :func:`load` will give back.
         folder: replaced if it is there.
         metrics: figures for ``metrics.json``.
         card: text of the model card.
-    """
-    import torch
-    import yaml
-    from safetensors.torch import save_file
+        dtype: of the weights, "float32" or "float16". Statistics (all buffers) stay in 32 bits, and so does a weight
+            tensor with a value beyond the range of float16.
 
+    Raises:
+        ValueError: another dtype.
+        TypeError: a model of no kind that :func:`load` could rebuild.
+    """
+    if dtype not in WEIGHT_DTYPES:
+        raise ValueError(f"Weights are stored as {' or '.join(WEIGHT_DTYPES)}, not as {dtype!r}.")
+    kind = next((kind for kind, (controller, _) in KINDS.items() if type(model) is controller), None)
+    if kind is None:
+        known = ", ".join(controller.__name__ for controller, _ in KINDS.values())
+        raise TypeError(f"A {type(model).__name__} is no model of the zoo, which holds {known}.")
     folder = Path(folder)
     partial = folder.with_name(folder.name + ".partial")
     shutil.rmtree(partial, ignore_errors=True)
     partial.mkdir(parents=True)
-    config = {
-        name: list(value) if isinstance(value, tuple) else value for name, value in asdict(model.architecture).items()
-    }
-    (partial / CONFIG).write_text(yaml.safe_dump(config, sort_keys=False))
+    sizes = {name: list(v) if isinstance(v, tuple) else v for name, v in asdict(model.architecture).items()}
+    (partial / CONFIG).write_text(yaml.safe_dump({"kind": kind} | sizes, sort_keys=False))
     (partial / METRICS).write_text(json.dumps(metrics or {}, indent=2) + "\n")
     (partial / CARD).write_text(card)
-    weights = {
-        name: tensor.detach().cpu().to(torch.float32 if tensor.is_floating_point() else tensor.dtype).contiguous()
-        for name, tensor in model.state_dict().items()
-    }
-    save_file(weights, partial / WEIGHTS)
+    save_file(_stored(model, WEIGHT_DTYPES[dtype]), partial / WEIGHTS)
     (partial / WEIGHTS).chmod(0o644)  # safetensors lets only the owner read
     digests = {name: hashlib.sha256((partial / name).read_bytes()).hexdigest() for name in HASHED}
     # no newline at its end: a manifest that is cut anywhere is no longer JSON
@@ -151,3 +183,17 @@ def save(model: SemanticController, folder: str | Path, metrics: dict | None = N
     os.replace(partial, folder)
     shutil.rmtree(retired, ignore_errors=True)
     return folder
+
+
+def _stored(model: nn.Module, dtype: torch.dtype) -> dict[str, torch.Tensor]:
+    """The tensors as they go to disk."""
+    trained = {name for name, _ in model.named_parameters()}
+    stored = {}
+    for name, tensor in model.state_dict().items():
+        tensor = tensor.detach().cpu().contiguous()
+        if tensor.is_floating_point():
+            tensor = tensor.float()
+            narrow = tensor.to(dtype)
+            tensor = narrow if name in trained and narrow.isfinite().all() else tensor
+        stored[name] = tensor
+    return stored
