@@ -6,34 +6,16 @@ from pathlib import Path
 
 import pytest
 import torch
+import yaml
+from safetensors.torch import load_file, save_file
+from tiny_controller import frames, tiny
 
 import tsjepa
 from tsjepa import zoo
-from tsjepa.models import Architecture, SemanticController
 from tsjepa.zoo import CARD, CONFIG, MANIFEST, METRICS, WEIGHTS, DamagedEntryError
 
 GUARDED = (CONFIG, WEIGHTS, METRICS, MANIFEST)
 CORRUPTIONS = 200
-
-
-def tiny(seed: int = 0) -> SemanticController:
-    torch.manual_seed(seed)
-    model = SemanticController(
-        Architecture(
-            frame_spacing=1,
-            widths=(4, 8, 8),
-            embedding_dim=8,
-            predictor_hidden_dim=16,
-            predictor_residual=False,
-            actor_hidden_dims=(16, 8),
-            sampling_interval=0.01,
-        )
-    )
-    with torch.no_grad():
-        for tensor in model.state_dict().values():
-            if tensor.is_floating_point():
-                tensor.uniform_(-0.5, 1.5).abs_()
-    return model
 
 
 @pytest.fixture(scope="module")
@@ -48,13 +30,13 @@ def test_what_was_saved_is_loaded_bit_for_bit_frozen_and_in_evaluation_mode(entr
     assert all(torch.equal(value, saved.state_dict()[name]) for name, value in loaded.state_dict().items())
     assert not any(part.training for part in loaded.modules())
     assert not any(parameter.requires_grad for parameter in loaded.parameters())
-    frames = torch.randint(0, 256, (3, 2, 64, 128, 3), dtype=torch.uint8, generator=torch.Generator().manual_seed(0))
-    embedding = loaded.encode(frames)
-    assert torch.equal(embedding, saved.eval().encode(frames))
+    embedding = loaded.encode(frames())
+    assert torch.equal(embedding, saved.eval().encode(frames()))
     assert embedding.shape == (3, 8)
     assert torch.equal(loaded.act(embedding), saved.act(embedding))
     assert torch.equal(loaded.predict(embedding, torch.ones(3, 1)), saved.predict(embedding, torch.ones(3, 1)))
     assert torch.equal(loaded.probe(embedding), saved.probe(embedding))
+    assert torch.equal(loaded.decode(embedding), saved.decode(embedding))
 
 
 def test_an_entry_holds_the_figures_and_the_card(entry):
@@ -120,14 +102,99 @@ def test_an_unknown_name_lists_the_known_ones(monkeypatch, entry, tmp_path):
         tsjepa.load("tinny")
 
 
-def test_a_setting_of_another_version_is_named(entry, tmp_path):
-    copy = shutil.copytree(entry, tmp_path / "copy")
-    (copy / CONFIG).write_text((copy / CONFIG).read_text() + "wings: 2\n")
-    manifest = json.loads((copy / MANIFEST).read_text())
-    manifest["sha256"][CONFIG] = hashlib.sha256((copy / CONFIG).read_bytes()).hexdigest()
-    (copy / MANIFEST).write_text(json.dumps(manifest))
-    with pytest.raises(ValueError, match="does not know: wings"):
-        tsjepa.load(copy)
+def rewrite(entry: Path, folder: Path, config: dict, weights: dict[str, torch.Tensor] | None = None) -> Path:
+    """A whole entry with another configuration, or other weights, than ``save`` would write."""
+    copy = shutil.copytree(entry, folder)
+    (copy / CONFIG).write_text(yaml.safe_dump(config))
+    if weights is not None:
+        save_file(weights, copy / WEIGHTS)
+    digests = {name: hashlib.sha256((copy / name).read_bytes()).hexdigest() for name in zoo.HASHED}
+    (copy / MANIFEST).write_text(json.dumps({"sha256": digests}))
+    return copy
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"wings": 2}, "does not know: wings"),
+        ({"kind": "oracle"}, "names the kind 'oracle'; this version knows tsjepa"),
+        ({"embedding_dim": 9}, "not those of the model in config.yaml"),
+    ],
+)
+def test_a_whole_entry_of_another_version_is_refused_in_one_sentence(entry, tmp_path, changes, said):
+    config = yaml.safe_load((entry / CONFIG).read_text())
+    with pytest.raises(ValueError, match=said):
+        tsjepa.load(rewrite(entry, tmp_path / "copy", config | changes))
+
+
+def test_an_entry_without_a_kind_is_a_tsjepa(entry, tmp_path):
+    config = yaml.safe_load((entry / CONFIG).read_text())
+    assert config.pop("kind") == "tsjepa"
+    assert type(tsjepa.load(rewrite(entry, tmp_path / "copy", config))) is type(tiny())
+
+
+def test_parts_that_control_nothing_may_lack_and_say_so_and_no_others(entry, tmp_path):
+    config, weights = yaml.safe_load((entry / CONFIG).read_text()), load_file(entry / WEIGHTS)
+    bare = {name: value for name, value in weights.items() if not name.startswith(("decoder.", "code_"))}
+    model = tsjepa.load(rewrite(entry, tmp_path / "bare", config, bare))
+    embedding = model.encode(frames())
+    assert torch.equal(model.act(embedding), tsjepa.load(entry).act(embedding))
+    assert model.code_low.isnan().all()
+    with pytest.raises(ValueError, match="decoder of this model was never trained"):
+        model.decode(embedding)
+    for lost in ("decoder.project.weight", "code_low"):
+        rest = {name: value for name, value in weights.items() if name != lost}
+        if lost == "code_low":
+            rest["code_lower"] = weights[lost]
+        with pytest.raises(ValueError, match="not those of the model"):
+            tsjepa.load(rewrite(entry, tmp_path / lost, config, rest))
+    with pytest.raises(ValueError, match="not those of the model"):
+        tsjepa.load(rewrite(entry, tmp_path / "actorless", config, {n: v for n, v in bare.items() if n[:5] != "actor"}))
+
+
+def test_16_bits_hold_the_weights_to_a_half_step_and_the_statistics_exactly(entry, tmp_path):
+    model = tiny()
+    with torch.no_grad():
+        model.actor.layers[0].bias[0] = 1e5  # beyond the range of float16
+    folder = zoo.save(model, tmp_path / "half", dtype="float16")
+    assert (folder / WEIGHTS).stat().st_size < 0.6 * (entry / WEIGHTS).stat().st_size
+    stored, loaded = load_file(folder / WEIGHTS), tsjepa.load(folder).state_dict()
+    trained = {name for name, _ in model.named_parameters()} - {"actor.layers.0.bias"}
+    for name, value in model.state_dict().items():
+        assert loaded[name].dtype == value.dtype
+        if name in trained:
+            assert stored[name].dtype == torch.float16
+            assert torch.equal(loaded[name], value.half().float())
+            assert (loaded[name] - value).abs().max() <= 1.5 * 2**-11
+        else:
+            assert stored[name].dtype == value.dtype
+            assert torch.equal(loaded[name], value)
+    assert {"encoder.stem.1.running_var", "code_low", "predictor.command_std", "probe.state_mean"} <= set(
+        stored
+    ) - trained
+    again = zoo.save(tsjepa.load(folder), tmp_path / "again", dtype="float16")
+    assert zoo.fingerprint(again) == zoo.fingerprint(folder)
+    with pytest.raises(ValueError, match="not as 'int8'"):
+        zoo.save(model, tmp_path / "wrong", dtype="int8")
+
+
+def test_only_models_of_a_known_kind_are_saved(tmp_path):
+    with pytest.raises(TypeError, match="Linear is no model of the zoo, which holds SemanticController"):
+        zoo.save(torch.nn.Linear(2, 2), tmp_path / "model")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_fingerprint_pins_an_entry(entry, tmp_path):
+    pin = zoo.fingerprint(entry)
+    assert torch.equal(tsjepa.load(entry, sha256=pin.upper()).code_low, tiny().code_low)
+    other = zoo.save(tiny(1), tmp_path / "other")
+    with pytest.raises(DamagedEntryError, match=f"has the SHA-256 {zoo.fingerprint(other)}, not {pin}"):
+        tsjepa.load(other, sha256=pin)
+
+
+def test_figures_and_card_travel_with_the_model(entry):
+    model = tsjepa.load(entry)
+    assert (model.metrics, model.card) == ({"score": 0.5}, "# A card\n")
 
 
 def test_saving_over_an_entry_replaces_it_whole_or_not_at_all(tmp_path, monkeypatch):

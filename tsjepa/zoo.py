@@ -83,8 +83,8 @@ def verify(folder: Path, sha256: str | None = None) -> None:
         raise DamagedEntryError(f"{folder / MANIFEST} is missing or unreadable; fetch the entry anew.") from error
     if sha256 is not None and fingerprint(folder) != sha256.lower():
         raise DamagedEntryError(
-            f"{folder / MANIFEST} has the SHA-256 {fingerprint(folder)}, not {sha256}: this is another entry, or another "
-            "version; give the SHA-256 of this one, or fetch the entry anew."
+            f"{folder / MANIFEST} has the SHA-256 {fingerprint(folder)}, not {sha256}: this is another entry, or "
+            "another version; give the SHA-256 of this one, or fetch the entry anew."
         )
     for name, digest in expected.items():
         path = folder / name
@@ -115,11 +115,9 @@ def load(name_or_path: str | Path, sha256: str | None = None) -> nn.Module:
     verify(folder, sha256)
     config = yaml.safe_load((folder / CONFIG).read_text())
     model = _rebuild(config, folder / CONFIG)
-    weights = {
-        name: value.float() if value.is_floating_point() else value
-        for name, value in load_file(folder / WEIGHTS).items()
-    }
-    absent = {name: value for name, value in model.state_dict().items() if name.startswith(OPTIONAL)}
+    weights = load_file(folder / WEIGHTS)
+    lacking = tuple(part for part in OPTIONAL if not any(name.startswith(part) for name in weights))
+    absent = {name: value for name, value in model.state_dict().items() if name.startswith(lacking)}
     try:
         model.load_state_dict(absent | weights)  # copies into float32
     except RuntimeError as error:

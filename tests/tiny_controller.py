@@ -1,0 +1,33 @@
+"""A controller small enough for a test of the zoo, with no two tensors alike."""
+
+import torch
+
+from tsjepa.models import Architecture, SemanticController
+
+
+def tiny(seed: int = 0) -> SemanticController:
+    """Random weights and statistics; the decoder is taken for trained."""
+    torch.manual_seed(seed)
+    model = SemanticController(
+        Architecture(
+            frame_spacing=1,
+            widths=(4, 8, 8),
+            embedding_dim=8,
+            predictor_hidden_dim=16,
+            predictor_residual=False,
+            actor_hidden_dims=(16, 8),
+            sampling_interval=0.01,
+        )
+    )
+    with torch.no_grad():
+        for tensor in model.state_dict().values():
+            if tensor.is_floating_point():
+                tensor.uniform_(-0.5, 1.5).abs_()
+        model.decoder.fitted.fill_(True)
+    return model
+
+
+def frames(seed: int = 0, count: int = 3) -> torch.Tensor:
+    """Noise of the encoder's shape, uint8 [count, 2, 64, 128, 3]."""
+    generator = torch.Generator().manual_seed(seed)
+    return torch.randint(0, 256, (count, 2, 64, 128, 3), dtype=torch.uint8, generator=generator)
