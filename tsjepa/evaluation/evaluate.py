@@ -6,18 +6,20 @@ import json
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
+from typing import Literal
 
 import torch
 from tqdm import tqdm
 
 from tsjepa.evaluation.closed_loop import ONCE, SemanticPolicy, Starts, run, true_state_policy
+from tsjepa.evaluation.codec import embedding_codec
 from tsjepa.evaluation.metrics import Run, interval, normalized_score
 from tsjepa.evaluation.open_loop import open_loop_metrics
 from tsjepa.evaluation.pictures import loop_plot, loop_video
 from tsjepa.evaluation.provenance import provenance
 from tsjepa.files import write_text
+from tsjepa.network.codecs import payload_bits
 
-EMBEDDING_BITS = 32  # per dimension, sent as float32
 STATE_BITS = 4 * 32
 
 
@@ -31,6 +33,7 @@ def evaluate(
     slots: int = 100,
     process_noise_std: float = 0.0,
     blend: float = 1.0,
+    codec: Literal["fp32", "fp16", "int8", "int4"] = "fp32",
     video: bool = True,
 ) -> dict:
     """Closes the loop on held-out starts with an update every P slots and prints how each controller did.
@@ -45,6 +48,7 @@ def evaluate(
         slots: length of a run.
         process_noise_std: standard deviation of the noise on both velocities after every slot (m/s, rad/s).
         blend: how much of a received embedding enters the belief; 1 replaces the prediction.
+        codec: how an embedding is sent; the integer ones need ranges that travel with the model.
         video: write a film of the first start.
     """
     import tsjepa
@@ -55,6 +59,12 @@ def evaluate(
     architecture = controller.architecture
     interval_s = architecture.sampling_interval
     renderer, expert = Renderer(), Expert(interval_s)
+    radio = embedding_codec(codec, controller)
+    embedding_bits = int(payload_bits(radio.encode(torch.zeros(1, architecture.embedding_dim))))
+
+    def sent(embedding: torch.Tensor) -> torch.Tensor:
+        return radio.decode(radio.encode(embedding))
+
     sets = [
         Starts(seed, starts_per_seed, slots, controller.frame_history, interval_s, process_noise_std)
         for seed in range(seeds)
@@ -66,18 +76,19 @@ def evaluate(
     rows = [summary("expert, perfect feedback", 1, feedback["expert"], optimal, STATE_BITS, slots)]
     for period in tqdm(periods, desc="closed loops", unit="period"):
         policies = {
-            "TS-JEPA": partial(SemanticPolicy, controller, renderer.render, period, blend),
+            "TS-JEPA": partial(SemanticPolicy, controller, renderer.render, period, blend, sent),
             "expert, hold last": partial(true_state_policy, expert, period, "hold"),
             "expert, zero": partial(true_state_policy, expert, period, "zero"),
         }
         for name, policy in policies.items():
             if period == 1 and name != "TS-JEPA":
                 continue
-            bits = EMBEDDING_BITS * architecture.embedding_dim if name == "TS-JEPA" else STATE_BITS
+            bits = embedding_bits if name == "TS-JEPA" else STATE_BITS
             rows.append(summary(name, period, [run(starts, policy()) for starts in sets], optimal, bits, slots))
     result = {
         "made_by": provenance(),
         "model": model,
+        "codec": codec,
         "optimal_policy": best,
         "optimal_raw_score": float(torch.cat(optimal).mean()),
         "starts": f"{seeds} seeds x {starts_per_seed}",

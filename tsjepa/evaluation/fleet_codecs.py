@@ -10,6 +10,7 @@ from torch import Tensor
 
 from tsjepa.envs.expert import Expert
 from tsjepa.evaluation.closed_loop import run
+from tsjepa.evaluation.codec import UnitNorm, embedding_codec
 from tsjepa.evaluation.fleet_settings import Plants, Radio
 from tsjepa.models import SemanticController
 from tsjepa.network.codecs import make_codec, payload_bits
@@ -19,24 +20,11 @@ STATE_RANGE = (1.8, 0.8, 4.0, 4.0)  # m, rad, m/s, rad/s: what an integer codec 
 CALIBRATION_SEED = 10_000  # starts that no evaluation uses
 
 
-class UnitNorm(torch.nn.Module):
-    """A codec whose receiver brings what it decodes back to unit length, as the predictor and the actor expect."""
-
-    def __init__(self, codec: torch.nn.Module) -> None:
-        super().__init__()
-        self.codec = codec
-
-    def encode(self, values: Tensor):
-        return self.codec.encode(values)
-
-    def decode(self, packets) -> Tensor:
-        return torch.nn.functional.normalize(self.codec.decode(packets), dim=-1)
-
-
 def fitted_codec(name: str, plants: Plants, model: SemanticController | None) -> torch.nn.Module:
     """The codec of the update: of the true state, of the model's embedding, or of frames.
 
-    Integer codecs get their ranges from the state space, or from embeddings along loops that the expert closes.
+    Integer codecs get their ranges from the state space, from the model, or, where it came without, from embeddings
+    along loops that the expert closes.
     """
     if name in FRAME_CODECS:
         if model is None:
@@ -45,8 +33,10 @@ def fitted_codec(name: str, plants: Plants, model: SemanticController | None) ->
     if model is None:
         codec = make_codec(name, dimension=4)
         return codec.fit(torch.tensor(STATE_RANGE) * torch.tensor([[-1.0], [1.0]])) if name[:3] == "int" else codec
-    codec = make_codec(name, dimension=model.architecture.embedding_dim)
-    return UnitNorm(codec.fit(calibration_embeddings(plants, model)) if name[:3] == "int" else codec)
+    if name[:3] == "int" and bool(model.code_low.isnan().any()):
+        codec = make_codec(name, dimension=model.architecture.embedding_dim)
+        return UnitNorm(codec.fit(calibration_embeddings(plants, model)))
+    return embedding_codec(name, model)
 
 
 @torch.no_grad()
