@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from tsjepa.envs import camera
 from tsjepa.envs.camera import DEFAULT_COLORS, Renderer
 
 RED = np.array([[[1.0, 0.0, 0.0], [1.0, 0.0, 0.0]]])
@@ -39,6 +40,23 @@ def test_frames_are_a_function_of_qpos(renderer):
     np.testing.assert_array_equal(renderer.render(qpos[::-1])[::-1], frames)
     np.testing.assert_array_equal(Renderer().render(qpos[2:3])[0], frames[2])
     np.testing.assert_array_equal(renderer.render(qpos.astype(np.float32)[2:3])[0], frames[2])
+
+
+def test_rendering_only_around_the_moving_parts_gives_the_whole_picture(renderer, monkeypatch):
+    generator = np.random.default_rng(0)
+    # past the edges of the picture too
+    qpos = np.stack((generator.uniform(-2.5, 2.5, 200), generator.uniform(-0.8, 0.8, 200)), axis=1)
+    colors = generator.uniform(0, 1, (200, 2, 3))
+    frames = renderer.render(qpos, colors).astype(int)
+    monkeypatch.setattr(camera, "rectangles", lambda *_: np.tile([0, 0, 128, 64], (200, 1)))
+    difference = np.abs(frames - renderer.render(qpos, colors))
+    # a frustum of its own rounds a vertex by up to 1/256 of a pixel, which now and then turns one of an edge's samples
+    assert (difference > 0).mean() < 3e-4 and difference.mean() < 0.005
+
+
+def test_where_nothing_moves_there_is_only_background(renderer):
+    far = renderer.render(np.array([[50.0, 0.0], [-50.0, 0.3]]), np.array([RED[0], 1 - RED[0]]))
+    np.testing.assert_array_equal(far[0], far[1])
 
 
 def test_returned_frames_are_not_overwritten(renderer):

@@ -11,6 +11,7 @@ import weakref
 import mujoco
 import numpy as np
 
+from tsjepa.envs.crop import Lens, half_extents, rectangles
 from tsjepa.envs.dynamics import load_model
 from tsjepa.gl import missing_backend_message
 
@@ -58,7 +59,8 @@ def _release(gl: mujoco.GLContext, context: mujoco.MjrContext) -> None:
 class Renderer:
     """Renders frames of cart-poles; keeps its GL context, scene and buffers between calls.
 
-    The context is made on the first frame, so an instance costs nothing (and needs no GL) until then.
+    The context is made on the first frame, so an instance costs nothing (and needs no GL) until then. The background is
+    rendered once; of every frame only the rectangle around cart and pole is, and put into it.
 
     Args:
         height: frame height in pixels.
@@ -95,21 +97,19 @@ class Renderer:
                 raise ValueError(f"colors must have shape [{len(qpos)}, 2, 3], got {list(colors.shape)}.")
             if not ((colors >= 0) & (colors <= 1)).all():
                 raise ValueError("colors must lie in [0, 1].")
-        frames = np.empty((len(qpos), self.height, self.width, 3), np.uint8)
         if not len(qpos):
-            return frames
+            return np.empty((0, self.height, self.width, 3), np.uint8)
         self._ready()
-        for row, frame in enumerate(frames):
-            self._data.qpos[:] = qpos[row]
-            mujoco.mj_kinematics(self._model, self._data)
-            for part, (shape, geom) in enumerate(self._moving):
-                shape.pos = self._data.geom_xpos[geom]
-                shape.mat = self._data.geom_xmat[geom].reshape(3, 3)
-                shape.rgba[:3] = DEFAULT_COLORS[part] if colors is None else colors[row, part]
-            mujoco.mjr_render(self._viewport, self._scene, self._context)
-            mujoco.mjr_readPixels(self._buffer, None, self._viewport, self._context)
-            # OpenGL's first row is the bottom one.
-            frame[:] = self._shrink(self._buffer[::-1])
+        frames = np.repeat(self._background[None], len(qpos), axis=0)
+        position, axes = self._poses(qpos)
+        for row, rectangle in enumerate(rectangles(self._lens, position, axes, self._extents)):
+            left, bottom, width, height = rectangle.tolist()
+            if width and height:
+                for part, shape in enumerate(self._shapes):
+                    shape.pos, shape.mat = position[row, part], axes[row, part]
+                    shape.rgba[:3] = DEFAULT_COLORS[part] if colors is None else colors[row, part]
+                top = self.height - bottom - height
+                frames[row, top : top + height, left : left + width] = self._draw(rectangle)
         return frames
 
     def metadata(self) -> dict:
@@ -132,12 +132,32 @@ class Renderer:
         """A copy, or an instance sent to another process, makes its own context."""
         return Renderer, (self.height, self.width, self.view)
 
-    def _shrink(self, image: np.ndarray) -> np.ndarray:
-        if self.view.supersampling == 1:
-            return image
+    def _poses(self, qpos: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Centres [N, parts, 3] and axes [N, parts, 3, 3] of the moving parts."""
+        position = np.empty((len(qpos), len(MOVING), 3))
+        axes = np.empty((len(qpos), len(MOVING), 9))
+        for row, coordinates in enumerate(qpos):
+            self._data.qpos[:] = coordinates
+            mujoco.mj_kinematics(self._model, self._data)
+            position[row] = self._data.geom_xpos[self._geoms]
+            axes[row] = self._data.geom_xmat[self._geoms]
+        return position, axes.reshape(len(qpos), len(MOVING), 3, 3)
+
+    def _draw(self, rectangle: np.ndarray) -> np.ndarray:
+        """The scene within a rectangle (left, bottom, width, height) of the frame; uint8 [height, width, 3]."""
         import cv2
 
-        return cv2.resize(image, (self.width, self.height), interpolation=cv2.INTER_AREA)
+        for camera in self._scene.camera:  # of both eyes, whose mean is used
+            self._lens.aim(camera, rectangle)
+        _, _, width, height = rectangle.tolist()
+        scale = self.view.supersampling
+        viewport = mujoco.MjrRect(0, 0, scale * width, scale * height)
+        buffer = self._buffer[: 3 * viewport.width * viewport.height].reshape(viewport.height, viewport.width, 3)
+        mujoco.mjr_render(viewport, self._scene, self._context)
+        mujoco.mjr_readPixels(buffer, None, viewport, self._context)
+        picture = buffer if scale == 1 else cv2.resize(buffer, (width, height), interpolation=cv2.INTER_AREA)
+        # OpenGL's first row is the bottom one.
+        return picture[::-1]
 
     def _ready(self) -> None:
         if self._gl is not None:
@@ -157,9 +177,9 @@ class Renderer:
             raise RuntimeError(missing_backend_message()) from error
         self._data = mujoco.MjData(self._model)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
-        self._viewport = mujoco.MjrRect(0, 0, width, height)
-        self._buffer = np.empty((height, width, 3), np.uint8)
+        self._buffer = np.empty(height * width * 3, np.uint8)
         self._build_scene()
+        self._background = self._draw(np.array((0, 0, self.width, self.height))).copy()
         self._gl = gl
         # At exit the context has to go before the display does; a plain finalizer would run after it.
         finalizer = weakref.finalize(self, _release, gl, self._context)
@@ -178,5 +198,9 @@ class Renderer:
             self._model, self._data, option, None, camera, mujoco.mjtCatBit.mjCAT_ALL.value, self._scene
         )
         shapes = {shape.objid: shape for shape in self._scene.geoms[: self._scene.ngeom]}
-        geoms = [self._model.geom(name).id for name in MOVING]
-        self._moving = [(shapes[geom], geom) for geom in geoms]
+        self._geoms = [self._model.geom(name).id for name in MOVING]
+        self._shapes = [shapes[geom] for geom in self._geoms]
+        self._extents = np.stack([half_extents(self._model, geom) for geom in self._geoms])
+        self._lens = Lens.of(self._scene.camera[0], self.height, self.width)
+        for shape in self._shapes:  # behind the camera, until the background is drawn
+            shape.pos = self._lens.position - self._lens.axes[2] * 10

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from pathlib import Path
 
 import mujoco
@@ -12,6 +13,7 @@ from mujoco.rollout import Rollout
 MODEL_PATH = Path(__file__).with_name("cartpole.xml")
 MAX_TIMESTEP = 0.002
 FORCE_LIMIT = 20.0
+THREADS = min(4, os.cpu_count() or 1)
 FULL_STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 
 
@@ -60,8 +62,8 @@ class Dynamics:
         self.sampling_interval = sampling_interval
         self.steps, _ = substeps(sampling_interval)
         self.model = load_model(sampling_interval)
-        self._data = mujoco.MjData(self.model)
-        self._rollout = Rollout(nthread=0)
+        self._workers = [mujoco.MjData(self.model) for _ in range(THREADS)]
+        self._rollout = Rollout(nthread=THREADS)
         self._state_size = mujoco.mj_stateSize(self.model, FULL_STATE)
 
     def __reduce__(self):
@@ -75,6 +77,6 @@ class Dynamics:
         control = np.repeat(np.asarray(force, np.float64).reshape(count, 1, 1), self.steps, axis=1)
         path = np.empty((count, self.steps, self._state_size))
         self._rollout.rollout(
-            [self.model] * count, [self._data], start, control, nstep=self.steps, state=path, skip_checks=True
+            [self.model] * count, self._workers, start, control, nstep=self.steps, state=path, skip_checks=True
         )
         return path[:, -1, 1:].copy()

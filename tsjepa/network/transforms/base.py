@@ -107,6 +107,8 @@ def active_rows(current: TensorDictBase, mask_key: str, fresh: Tensor | None) ->
 
 def scatter_rows(rows: Tensor, values: Tensor) -> Tensor:
     """Values [N, ...] of the N set rows, spread over [*B, ...] with zeros in the others."""
+    if bool(rows.all()):
+        return values.reshape(rows.shape + values.shape[1:])
     spread = torch.zeros(rows.shape + values.shape[1:], dtype=values.dtype, device=values.device)
     spread[rows] = values
     return spread
