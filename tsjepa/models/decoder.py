@@ -1,0 +1,78 @@
+"""The decoder: an embedding back to frames. The autoencoder is trained through it; elsewhere it only shows what z holds."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from tsjepa.models.encoder import PATCH, unpatchify
+
+
+class Upsample(nn.Sequential):
+    """Twice the picture: nearest neighbours, a 3x3 convolution, batch normalisation."""
+
+    def __init__(self, in_channels: int, out_channels: int) -> None:
+        super().__init__(
+            nn.Upsample(scale_factor=2),
+            nn.Conv2d(in_channels, out_channels, 3, padding=1, bias=False),
+            nn.BatchNorm2d(out_channels),
+            nn.ReLU(),
+        )
+
+
+class Decoder(nn.Module):
+    """A linear layer to a coarse picture that is doubled three times; a last convolution writes patches of 4x4 pixels.
+
+    It draws what differs from the ``background``, a frame that is saved with the weights, so that neither it nor the
+    embedding has to carry what never changes.
+
+    Args:
+        embedding_dim: d.
+        frame_stack: frames that are drawn, oldest first.
+        widths: channels of the coarse picture and after each doubling.
+        height: frame height in pixels.
+        width: frame width in pixels.
+    """
+
+    def __init__(
+        self,
+        embedding_dim: int = 256,
+        frame_stack: int = 1,
+        widths: tuple[int, int, int, int] = (128, 64, 32, 32),
+        height: int = 64,
+        width: int = 128,
+    ) -> None:
+        super().__init__()
+        self.scale = embedding_dim**0.5
+        self.coarse_shape = (widths[0], height // (8 * PATCH), width // (8 * PATCH))
+        self.project = nn.Linear(embedding_dim, self.coarse_shape[0] * self.coarse_shape[1] * self.coarse_shape[2])
+        self.stages = nn.Sequential(*(Upsample(*pair) for pair in zip(widths[:-1], widths[1:], strict=True)))
+        self.patches = nn.Conv2d(widths[-1], frame_stack * 3 * PATCH**2, 3, padding=1)
+        self.register_buffer("background", torch.zeros(height // PATCH, width // PATCH, 3 * PATCH**2))
+        self.register_buffer("fitted", torch.tensor(False))
+        self.to(memory_format=torch.channels_last)
+
+    def draw(self, embedding: Tensor) -> Tensor:
+        """What the frames of [N, d] add to the background, in 1/255: patches [N, H / 4, W / 4, frame_stack * 48]."""
+        coarse = F.relu(self.project(embedding * self.scale)).unflatten(1, self.coarse_shape)
+        return self.patches(self.stages(coarse)).permute(0, 2, 3, 1)
+
+    def backdrop(self) -> Tensor:
+        """The background's patches [H / 4, W / 4, frame_stack * 48], once for each frame that is drawn, in 0..255."""
+        return self.background.repeat(1, 1, self.patches.out_channels // self.background.shape[-1])
+
+    def forward(self, embedding: Tensor) -> Tensor:
+        """Frames [..., frame_stack, H, W, 3] in 0..255 from ``embedding`` [..., d] of unit length.
+
+        Raises:
+            ValueError: this decoder was never trained.
+        """
+        if not self.fitted:
+            raise ValueError(
+                "The decoder of this model was never trained, so that its embeddings cannot be drawn; add "
+                "tsjepa.training.decoder.FitDecoder to the recipe, before ExportModel."
+            )
+        drawn = self.draw(embedding.reshape(-1, embedding.shape[-1])).float()
+        frames = unpatchify((self.backdrop() + 255 * drawn).clamp(0, 255))
+        return frames.reshape(*embedding.shape[:-1], *frames.shape[1:])
