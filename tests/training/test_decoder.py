@@ -37,7 +37,7 @@ def test_the_decoder_learns_to_draw_what_the_embedding_tells_and_repeats_itself(
             drawn.append(decoder(embedding)[:, 0])
     assert torch.equal(*drawn)
     assert drawn[0].shape == frames.shape
-    assert 0 <= drawn[0].min() and drawn[0].max() <= 255
+    assert drawn[0].min() >= 0 and drawn[0].max() <= 255
     truth = frames.float()
     assert (drawn[0] - truth).square().mean() < 0.6 * (background - truth).square().mean()
 

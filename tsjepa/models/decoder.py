@@ -1,6 +1,8 @@
-"""The decoder: an embedding back to frames. The autoencoder is trained through it; elsewhere it only shows what z holds."""
+"""The decoder: an embedding back to frames. The autoencoder trains through it; elsewhere it only shows what z holds."""
 
 from __future__ import annotations
+
+from itertools import pairwise
 
 import torch
 from torch import Tensor, nn
@@ -47,7 +49,7 @@ class Decoder(nn.Module):
         self.scale = embedding_dim**0.5
         self.coarse_shape = (widths[0], height // (8 * PATCH), width // (8 * PATCH))
         self.project = nn.Linear(embedding_dim, self.coarse_shape[0] * self.coarse_shape[1] * self.coarse_shape[2])
-        self.stages = nn.Sequential(*(Upsample(*pair) for pair in zip(widths[:-1], widths[1:], strict=True)))
+        self.stages = nn.Sequential(*(Upsample(*pair) for pair in pairwise(widths)))
         self.patches = nn.Conv2d(widths[-1], frame_stack * 3 * PATCH**2, 3, padding=1)
         self.register_buffer("background", torch.zeros(height // PATCH, width // PATCH, 3 * PATCH**2))
         self.register_buffer("fitted", torch.tensor(False))

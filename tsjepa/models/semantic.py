@@ -78,7 +78,7 @@ class SemanticController(HubModel, nn.Module):
             ValueError: this controller has no predictor.
         """
         if self.predictor is None:
-            raise ValueError("This controller has no predictor (has_predictor is False); hold its last command instead.")
+            raise ValueError("This controller has no predictor (has_predictor is False); hold the last command.")
         return self.predictor(embedding, command)
 
     def act(self, embedding: Tensor) -> Tensor:
