@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import lightning
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -41,21 +43,38 @@ class Supervised(lightning.LightningModule):
         super().__init__()
         if pretrained is not None:
             start_from(pretrained, encoder=encoder)
-        self.encoder, self.actor, self.augmentation = encoder, actor, augmentation
+        self.model = SemanticController(
+            Architecture(
+                frame_stack=encoder.frame_shape[0],
+                widths=encoder.widths,
+                embedding_dim=encoder.embedding_dim,
+                actor_hidden_dims=actor.hidden_dims,
+                has_predictor=False,
+            )
+        )
+        self.model.encoder, self.model.actor, self.augmentation = encoder, actor, augmentation
         self.learning_rate, self.weight_decay, self.seed = learning_rate, weight_decay, seed
+
+    def setup(self, stage: str) -> None:
+        data = self.trainer.datamodule
+        self.model.architecture = replace(
+            self.model.architecture,
+            frame_spacing=data.frame_spacing,
+            sampling_interval=data.metadata["sampling_interval"],
+        )
 
     def training_step(self, batch: TensorDictBase, batch_index: int) -> Tensor:
         generator = torch.Generator().manual_seed(self.seed * 1_000_003 + self.global_step)
-        embedding = self.encoder.embed(self.augmentation(batch["patches"].flatten(0, 1), generator))
-        error = self.actor.unclipped(embedding) - batch["expert_action"].flatten(0, 1)
+        embedding = self.model.encoder.embed(self.augmentation(batch["patches"].flatten(0, 1), generator))
+        error = self.model.actor.unclipped(embedding) - batch["expert_action"].flatten(0, 1)
         loss = (error / COMMAND_LIMIT).square().mean()
         self.log("loss", loss, prog_bar=True)
         return loss
 
     def nmae(self, split: TensorDictBase) -> Tensor:
         """Mean command error over 40 N on a split [episodes, T + 1]."""
-        embedded = embed_split(self.encoder, split, self.trainer.datamodule.frame_spacing)
-        return (self.actor(embedded["embedding"]) - embedded["expert_action"]).abs().mean() / (2 * COMMAND_LIMIT)
+        embedded = embed_split(self.model.encoder, split, self.trainer.datamodule.frame_spacing)
+        return (self.model.act(embedded["embedding"]) - embedded["expert_action"]).abs().mean() / (2 * COMMAND_LIMIT)
 
     def validation_step(self, batch: TensorDictBase, batch_index: int) -> None:
         self.log("val/command_nmae", self.nmae(batch), prog_bar=True, batch_size=1)
@@ -65,28 +84,16 @@ class Supervised(lightning.LightningModule):
 
     def predict_step(self, batch: TensorDictBase, batch_index: int) -> TensorDict:
         """The ``command`` for every stack of a split, beside embedding, state and the expert's command."""
-        embedded = embed_split(self.encoder, batch, self.trainer.datamodule.frame_spacing)
-        return embedded.set("command", self.actor(embedded["embedding"]))
+        embedded = embed_split(self.model.encoder, batch, self.trainer.datamodule.frame_spacing)
+        return embedded.set("command", self.model.act(embedded["embedding"]))
 
     def controller(self) -> SemanticController:
-        """Encoder and actor as a controller; predictor and probe are untrained, so it needs an update every slot."""
-        data = self.trainer.datamodule
-        model = SemanticController(
-            Architecture(
-                frame_stack=self.encoder.frame_shape[0],
-                frame_spacing=data.frame_spacing,
-                widths=self.encoder.widths,
-                embedding_dim=self.encoder.embedding_dim,
-                actor_hidden_dims=self.actor.hidden_dims,
-                sampling_interval=data.metadata["sampling_interval"],
-            )
-        )
-        model.encoder.load_state_dict(self.encoder.state_dict())
-        model.actor.load_state_dict(self.actor.state_dict())
-        return model
+        """Encoder and actor as a controller without a predictor; it holds its last command between updates."""
+        return self.model
 
     def configure_optimizers(self):
-        optimizer = torch.optim.AdamW(self.parameters(), self.learning_rate, weight_decay=self.weight_decay)
+        parameters = [*self.model.encoder.parameters(), *self.model.actor.parameters()]
+        optimizer = torch.optim.AdamW(parameters, self.learning_rate, weight_decay=self.weight_decay)
         total = self.trainer.estimated_stepping_batches
         schedule = warmup_cosine_schedule(optimizer, total)
         return {"optimizer": optimizer, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}
