@@ -104,7 +104,7 @@ def load(name_or_path: str | Path, sha256: str | None = None) -> nn.Module:
 
     Returns:
         A controller of :data:`KINDS` with ``encode``, ``act``, ``predict`` and ``probe``, in float32. Its ``metrics``
-        and ``card`` are those of the entry.
+        and ``card`` are those of the entry, ``entry_sha256`` the entry's fingerprint.
 
     Raises:
         FileNotFoundError: no such entry.
@@ -122,6 +122,7 @@ def load(name_or_path: str | Path, sha256: str | None = None) -> nn.Module:
         model.load_state_dict(absent | weights)  # copies into float32
     except RuntimeError as error:
         raise ValueError(f"The weights in {folder / WEIGHTS} are not those of the model in {CONFIG}.") from error
+    model.entry_sha256 = fingerprint(folder)
     model.metrics = json.loads((folder / METRICS).read_text())
     model.card = (folder / CARD).read_text() if (folder / CARD).is_file() else ""
     return model.eval().requires_grad_(False)

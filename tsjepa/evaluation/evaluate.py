@@ -16,7 +16,7 @@ from tsjepa.evaluation.codec import embedding_codec
 from tsjepa.evaluation.metrics import Run, interval, normalized_score
 from tsjepa.evaluation.open_loop import open_loop_metrics
 from tsjepa.evaluation.pictures import loop_plot, loop_video
-from tsjepa.evaluation.provenance import provenance
+from tsjepa.evaluation.provenance import machine, provenance
 from tsjepa.files import write_text
 from tsjepa.network.codecs import payload_bits
 
@@ -87,12 +87,18 @@ def evaluate(
             rows.append(summary(name, period, [run(starts, policy()) for starts in sets], optimal, bits, slots))
     result = {
         "made_by": provenance(),
+        "machine": machine(),
         "model": model,
+        "model_sha256": controller.entry_sha256,
         "codec": codec,
         "optimal_policy": best,
         "optimal_raw_score": float(torch.cat(optimal).mean()),
         "starts": f"{seeds} seeds x {starts_per_seed}",
+        "seeds": list(range(seeds)),
+        "starts_per_seed": starts_per_seed,
+        "slots": slots,
         "process_noise_std": process_noise_std,
+        "blend": blend,
         "closed_loop": rows,
     }
     if data is not None:
@@ -121,6 +127,7 @@ def summary(name: str, period: int, loops: list[Run], optimal: list[torch.Tensor
         "normalized_score": mean,
         "interval_95": half,
         "best_seed": max(scores),
+        "per_seed": scores,
         "raw_score": float(torch.cat([loop.raw_score() for loop in loops]).mean()),
         "failures": int(torch.cat([loop.failed() for loop in loops]).sum()),
         "starts": sum(len(best) for best in optimal),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import platform
 import subprocess
 import sys
 from datetime import datetime, timezone
@@ -18,6 +20,16 @@ def provenance() -> dict[str, str]:
         "commit": _commit() or f"version {version('tsjepa')}",
         "date": datetime.now(timezone.utc).date().isoformat(),
     }
+
+
+def machine() -> dict[str, str | int]:
+    """Processor, and its number of cores here."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+        name = next(line.split(":")[1].strip() for line in lines if line.startswith("model name"))
+    except (OSError, StopIteration):
+        name = platform.processor() or platform.machine()
+    return {"processor": name, "cores": os.cpu_count() or 1}
 
 
 def _commit() -> str | None:
