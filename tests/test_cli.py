@@ -63,7 +63,7 @@ def test_wrong_arguments_are_answered_in_one_line_and_status_2(capsys, arguments
 
 def test_what_the_program_refuses_is_said_without_a_traceback(capsys):
     status, _, complaint = run(capsys, "doctor", "--frames", "0")
-    assert status == 1
+    assert status == 2
     assert complaint.startswith("tsjepa doctor: frames is 0")
     assert len(complaint.splitlines()) == 1
 

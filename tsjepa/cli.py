@@ -8,13 +8,16 @@ from __future__ import annotations
 
 import importlib
 import importlib.metadata
+import inspect
+import itertools
 import os
 import sys
 import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from tsjepa.cli_errors import explain, one_sentence
+from tsjepa.cli_errors import exit_status, explain, one_sentence
+from tsjepa.trust import TRUST, restrict_recipes
 
 LIGHTNING_COMMANDS = {
     "fit": "train a model",
@@ -26,7 +29,10 @@ COMMANDS = {
     "collect": ("tsjepa.data.collect:collect", "record a data set of frames and commands from the plant"),
     "evaluate": ("tsjepa.evaluation.evaluate:evaluate", "close the loop on held-out starts and print the table"),
     "simulate": ("tsjepa.evaluation.simulate:simulate", "run a fleet of plants that share a radio"),
+    "figures": ("tsjepa.evaluation.figures.command:figures", "redraw the paper's figures, or run their sweeps"),
+    "report": ("tsjepa.evaluation.figures.report:report", "compare every figure with what the paper claims"),
     "export": ("tsjepa.evaluation.export:export", "make a trained model an entry of the zoo"),
+    "zoo": ("tsjepa.evaluation.zoo_report:zoo", "list the pretrained models, or verify them: tsjepa zoo verify"),
     "doctor": ("tsjepa.doctor:doctor", "tell what this machine offers and what to mend"),
 }
 
@@ -41,21 +47,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
         arguments: The command and its options; those of the process when None.
 
     Returns:
-        The exit status: 0; 1 when the command failed for a reason that the user can mend; 2 when there is no such
-        command; 130 after Ctrl-C.
+        The exit status: 0; 2 when the command asks for what there is not or what cannot be; 1 when it failed on the way
+        for another reason that the user can mend; 130 after Ctrl-C.
 
     Raises:
         SystemExit: 2 when an option is wrong, 0 after the ``--help`` of a command.
     """
     program = "lightning" if Path(sys.argv[0]).name == "lightning" else "tsjepa"
     command, *options = (sys.argv[1:] if arguments is None else list(arguments)) or [""]
+    trusted = TRUST in options
+    options = [option for option in options if option != TRUST]
     try:
+        if not trusted and command in {**LIGHTNING_COMMANDS, **COMMANDS}:
+            restrict_recipes()
         if command in ("-h", "--help"):
             print(_help(program), flush=True)
         elif command == "--version":
             print(f"tsjepa {importlib.metadata.version('tsjepa')}")
         elif command in LIGHTNING_COMMANDS:
-            _run_lightning(program, command, _find_recipes(options))
+            _run_lightning(program, command, _find_recipes(options), trusted)
         elif command in COMMANDS:
             run_command(command, options, program)
         else:
@@ -74,7 +84,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if sentence is None or os.environ.get("TSJEPA_TRACEBACK") == "1":
             raise
         print(f"{program} {command}: {sentence}", file=sys.stderr)
-        return 1
+        return exit_status(error)
     return 0
 
 
@@ -91,7 +101,8 @@ def _help(program: str) -> str:
             "commands:",
             *(f"  {name:<10}{summary}" for name, summary in commands.items()),
             "",
-            f"{program} COMMAND --help lists the options of a command.",
+            f"{program} COMMAND --help lists the options of a command. With {TRUST}, its recipe may name classes of",
+            "any package, and a checkpoint is unpickled: for files that you made yourself.",
         ]
     )
 
@@ -108,7 +119,7 @@ def find_recipe(path: str) -> str:
     return next((str(home / path) for home in homes if (home / path).is_file()), path)
 
 
-def _run_lightning(program: str, command: str, options: list[str]) -> None:
+def _run_lightning(program: str, command: str, options: list[str], trusted: bool) -> None:
     # Never ask for an account, nor send anything, unless the user has set the mode.
     os.environ.setdefault("WANDB_MODE", "offline")
     from lightning.pytorch.cli import LightningArgumentParser, LightningCLI, SaveConfigCallback
@@ -127,10 +138,18 @@ def _run_lightning(program: str, command: str, options: list[str]) -> None:
                 super().setup(trainer, pl_module, stage)
 
     class CommandLine(LightningCLI):
-        # The other commands print their figures; in the fit's log they would take the place of the training's.
+        # The recipe decides, whatever hyper-parameters a checkpoint holds; only the plugin below reads it.
+        def _parse_ckpt_path(self) -> None:
+            pass
+
         def before_instantiate_classes(self) -> None:
+            options = self.config[command]
+            if options.weights_only is False and not trusted:
+                raise ValueError(f"weights_only is false, which would unpickle the checkpoint: add {TRUST} to do that.")
+            options.weights_only = not trusted
+            # The other commands print their figures; in the fit's log they would take the place of the training's.
             if command != "fit":
-                self.config[command].trainer.logger = False
+                options.trainer.logger = False
 
     # Lightning warns when it is handed arguments while the process has its own.
     warnings.filterwarnings("ignore", message="LightningCLI's args parameter")
@@ -147,7 +166,10 @@ def _run_lightning(program: str, command: str, options: list[str]) -> None:
 
 
 def run_command(command: str, options: list[str], program: str = "tsjepa") -> None:
-    """Run one of :data:`COMMANDS` with ``options`` as they stand on a command line; its errors are not caught."""
+    """Run one of :data:`COMMANDS` with ``options`` as they stand on a command line; its errors are not caught.
+
+    Words before the first option are arguments in the order of the function's parameters: ``tsjepa export RUN NAME``.
+    """
     from jsonargparse import ArgumentParser
 
     class Parser(ArgumentParser):
@@ -158,9 +180,15 @@ def run_command(command: str, options: list[str], program: str = "tsjepa") -> No
     parser = Parser(prog=f"{program} {command}", description=COMMANDS[command][1])
     parser.add_argument("-c", "--config", action="config", help="a YAML file with any of the options below")
     parser.add_function_arguments(function)
-    values = parser.instantiate(parser.parse_args(_find_recipes(options)))
+    values = parser.instantiate(parser.parse_args(_name_words(_find_recipes(options), function)))
     del values["config"]
     function(**values)
+
+
+def _name_words(options: list[str], function: Callable) -> list[str]:
+    words = itertools.takewhile(lambda option: not option.startswith("-"), options)
+    named = [f"--{name}={word}" for name, word in zip(inspect.signature(function).parameters, words, strict=False)]
+    return named + options[len(named) :]
 
 
 def _error_method(program: str) -> Callable:

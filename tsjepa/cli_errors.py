@@ -7,12 +7,15 @@ import re
 from pathlib import Path
 from types import TracebackType
 
+from tsjepa.trust import PACKAGES, TRUST
+
 _PACKAGE = Path(__file__).parent
 # Lines of jsonargparse's messages that name its types instead of the mistake.
 _NOISE = re.compile(
     r"Does not validate against any of the Union|Subtypes: |Errors:$|Expected a <class 'NoneType'>"
     r"|Given value type: |Given value: (NestedArg|Namespace)"
 )
+_DENIED = re.compile(r"Importing '([\w.]+)' is not allowed, denied by .*?set_parsing_settings to allow it\.?")
 
 
 def one_sentence(message: str) -> str:
@@ -20,6 +23,8 @@ def one_sentence(message: str) -> str:
     lines = [line.strip().removeprefix("- ").strip() for line in message.splitlines()]
     text = "; ".join(line for line in lines if line and not _NOISE.match(line)).replace(":; ", ": ")
     text = re.sub(r"<class '([\w.]+)'>", r"\1", text)
+    if denied := _DENIED.search(text):
+        return f"{denied[1]} is not of {', '.join(PACKAGES)}: add {TRUST} if you trust the file that names it"
     return re.sub(r'Parser key "([\w.]+)"', r"option '\1'", text).rstrip(".")
 
 
@@ -33,16 +38,26 @@ def explain(error: BaseException) -> str | None:
         The sentence, or None for an exception nobody foresaw, which deserves its traceback.
     """
     if _is_raised_here(error) or isinstance(error, OSError):
-        return str(error)
+        # the text of a KeyError is the repr of its message
+        return " ".join(str(error.args[0] if isinstance(error, KeyError) else error).split())
     if isinstance(error, ModuleNotFoundError) and not (error.name or "").startswith("tsjepa"):
         return f"the package {error.name} is not installed; `make setup` installs all that this program needs."
     if type(error).__name__ == "MisconfigurationException":
-        return str(error)
+        return " ".join(str(error).split())
     if _module_of(error).startswith("jsonargparse"):
         # The exception of a constructor, caught while jsonargparse tried out the types that an option may have.
         cause = error.__cause__ or error.__context__
         return explain(cause) if cause is not None else one_sentence(str(error))
     return None
+
+
+def exit_status(error: BaseException) -> int:
+    """2 where the command asks for something that there is not or that cannot be; 1 where something failed on the way,
+    such as a full disk, a missing package or a loss that explodes."""
+    wrong_values = (ValueError, TypeError, LookupError)
+    wrong_paths = (FileNotFoundError, FileExistsError, NotADirectoryError, IsADirectoryError)
+    refused = isinstance(error, (*wrong_values, *wrong_paths)) or type(error).__name__ == "MisconfigurationException"
+    return 2 if refused or _module_of(error).startswith("jsonargparse") else 1
 
 
 def _innermost_frame(error: BaseException) -> TracebackType | None:

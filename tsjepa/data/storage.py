@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from pathlib import Path
 
 from tensordict import TensorDict
+
+from tsjepa.files import replace_folder
 
 METADATA = "metadata.json"
 FORMAT = 1
@@ -37,7 +38,7 @@ def publish(partial: Path, folder: Path, metadata: dict) -> None:
     """Writes a data set's metadata and renames ``partial`` to ``folder``, so that it is there whole or not at all."""
     metadata = {"format": FORMAT, **metadata, "sha256": content_hash(partial), "files": file_sizes(partial)}
     (partial / METADATA).write_text(json.dumps(metadata, indent=2) + "\n")
-    os.replace(partial, folder)
+    replace_folder(partial, folder)
 
 
 def read_metadata(folder: str | Path) -> dict:
@@ -53,7 +54,10 @@ def read_metadata(folder: str | Path) -> dict:
         raise FileNotFoundError(
             f"No data set in {folder}: collect one with `tsjepa collect --config recipes/data.yaml`."
         )
-    metadata = json.loads(path.read_text())
+    try:
+        metadata = dict(json.loads(path.read_text()))
+    except (ValueError, TypeError) as error:
+        raise ValueError(f"{path} is damaged; delete the folder and collect it anew.") from error
     if metadata.get("format") != FORMAT:
         raise ValueError(
             f"The data set in {folder} has format {metadata.get('format')}, not {FORMAT}: collect it anew."
@@ -82,4 +86,10 @@ def open_split(folder: str | Path, split: str) -> TensorDict:
     metadata = read_metadata(folder)
     if split not in metadata["splits"]:
         raise KeyError(f"The data set in {folder} has no split {split!r}; it has {', '.join(metadata['splits'])}.")
-    return TensorDict.load_memmap(Path(folder) / split)
+    try:
+        return TensorDict.load_memmap(Path(folder) / split, allow_pickle=False)
+    except Exception as error:
+        raise ValueError(
+            f"The data set in {folder} is damaged: the split {split} cannot be read; delete the folder and collect it "
+            "anew."
+        ) from error

@@ -13,10 +13,11 @@ from lightning.pytorch.loggers.csv_logs import ExperimentWriter
 from lightning.pytorch.plugins.io import TorchCheckpointIO
 
 from tsjepa.files import write_text
+from tsjepa.trust import load_checkpoint
 
 
 class AtomicCheckpointIO(TorchCheckpointIO):
-    """Writes a checkpoint beside its place and renames it.
+    """Writes a checkpoint beside its place and renames it; reads tensors and plain values only, see tsjepa.trust.
 
     Lightning writes into the system's temporary folder and moves the file, which is a copy where that folder is on
     another file system; a kill during the copy leaves half a ``last.ckpt``.
@@ -31,6 +32,11 @@ class AtomicCheckpointIO(TorchCheckpointIO):
             file.flush()
             os.fsync(file.fileno())
         os.replace(partial, path)
+
+    def load_checkpoint(
+        self, path: str | Path, map_location: Any = "cpu", weights_only: bool | None = None
+    ) -> dict[str, Any]:
+        return load_checkpoint(str(path), map_location, trusted=weights_only is False)
 
 
 class ContinuedWriter(ExperimentWriter):
