@@ -1,0 +1,43 @@
+"""What of a long run is done, so that the same command, started again after a kill, does only the rest."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+
+class Journal:
+    """A file of JSON lines: the settings of the run, then one line ``[key, value]`` for every finished item.
+
+    A line counts once it is whole. A journal of other settings is started anew.
+
+    Args:
+        path: of the file; its folder is there.
+        settings: everything that the items depend on, as JSON.
+    """
+
+    def __init__(self, path: str | Path, settings: Any) -> None:
+        self.path, self.settings = Path(path), json.loads(json.dumps(settings))
+        self.done: dict[str, Any] = {}
+        lines = self._whole_lines()
+        if lines[:1] == [self.settings]:
+            self.done = dict(lines[1:])
+        text = "".join(json.dumps(line) + "\n" for line in [self.settings, *map(list, self.done.items())])
+        partial = self.path.with_name(self.path.name + ".partial")
+        partial.write_text(text)
+        partial.replace(self.path)
+
+    def _whole_lines(self) -> list:
+        if not self.path.is_file():
+            return []
+        try:
+            return [json.loads(line) for line in self.path.read_text().split("\n")[:-1]]
+        except ValueError:
+            return []
+
+    def add(self, key: str, value: Any = None) -> None:
+        """Notes that the item ``key`` is done, with its result as JSON."""
+        with self.path.open("a") as file:
+            file.write(json.dumps([key, value]) + "\n")
+        self.done[key] = json.loads(json.dumps(value))
