@@ -15,7 +15,7 @@ EVALUATION_RECIPE ?= recipes/evaluate.yaml
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.setup-done
 
-.PHONY: help setup train-jepa train-actor data evaluate test lint
+.PHONY: help setup train-jepa train-actor data evaluate figures figures-check report test lint
 
 help: ## print this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "%-12s %s\n", $$1, $$2}' Makefile
@@ -53,6 +53,15 @@ data: setup ## collect the data sets from dm-control pixels
 
 evaluate: setup ## close the loop on held-out starts and print the table
 	$(BIN)/tsjepa evaluate --config $(EVALUATION_RECIPE)
+
+figures: setup ## redraw every figure of the paper from the recorded results
+	$(BIN)/tsjepa figures
+
+figures-check: setup ## run a small point of every recorded sweep again and compare
+	$(BIN)/tsjepa figures --check true
+
+report: setup ## write docs/report.md and docs/report.html: each figure beside the paper's claims
+	$(BIN)/tsjepa report
 
 test: setup ## run the unit tests and a smoke run of the whole chain
 	$(BIN)/python -m pytest

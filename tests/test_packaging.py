@@ -28,11 +28,13 @@ EXTRAS = {
     for pin in pins
 }
 TARGETS = ["setup", "train-jepa", "train-actor", "data", "evaluate", "test", "lint", "help"]
+TARGETS += ["figures", "figures-check", "report"]
 MODULE_NAMES = {
     "cv2": "opencv-python-headless",
     "dm_env": "dm-control",
     "OpenGL": "pyopengl",
     "PIL": "pillow",
+    "sklearn": "scikit-learn",
     "yaml": "pyyaml",
 }
 

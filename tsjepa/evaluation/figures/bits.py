@@ -1,0 +1,139 @@
+"""Bits against score: what a slot costs on the air, and how well the cart-pole is held (ours)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from tsjepa.evaluation.figures import plots
+from tsjepa.evaluation.figures.claims import Verdict, judge
+from tsjepa.evaluation.figures.grids import grid
+from tsjepa.evaluation.figures.loops import loop_rows
+
+TITLE = "Bits against score"
+CAPTION = (
+    "One device, nothing lost. Embeddings of every dimension as fp32, int8 and int4; frames as raw pixels, PNG, JPEG, "
+    "WebP and H.264 into the supervised controller and into TS-JEPA's encoder at the far end; the true state into the "
+    "expert as the floor. A stack is one picture with all the frames that a controller needs, so that every update "
+    "stands by itself; a stream sends the newest frame alone and needs an update in every slot. H.264 is x264 without "
+    "delay, one key frame, a stream a device. Bits are those of the real packets, per slot; error bars are 95 % "
+    "intervals over seeds."
+)
+MEASURES = ("score", "bits_per_slot")
+ENOUGH = 0.9  # normalised score at which the bits are compared
+KINDS = {  # name in the plot by what is sent
+    "state": "true state",
+    "embedding": "embedding",
+    "stack": "stack of frames",
+    "stream": "frames one by one",
+    "video": "H.264",
+}
+
+
+def points(states: list[dict], embeddings: list[dict], frames: list[dict], sizes: dict) -> list[dict]:
+    """The sweep; fields of an item that are lists stand for all combinations.
+
+    Args:
+        states: ``codec`` of the true state.
+        embeddings: ``model``, ``codec`` and ``update_every``.
+        frames: ``model``, ``sends``, ``codec`` and ``quality``.
+        sizes: ``seeds``, ``starts``, ``slots``, ``process_noise_std``.
+    """
+    common = [
+        *({"model": None, "sends": "state", "update_every": 1, "between": "hold"} | item for item in states),
+        *({"sends": "embedding", "between": "predict"} | item for item in embeddings),
+        *({"update_every": 1, "between": "hold"} | item for item in frames),
+    ]
+    return [point for item in common for point in grid(item | sizes)]
+
+
+evaluate = loop_rows
+
+
+def draw(records: list[dict], path: str | Path) -> None:
+    """Score over bits per slot, a marker a point."""
+    figure, (axis,) = plots.canvas(width=9, height=5)
+    styles = dict(zip(KINDS, zip(plots.PALETTE, "*osD^", strict=False), strict=False))
+    groups: dict[tuple, list[dict]] = {}
+    for record in records:
+        point = record["point"]
+        every = "" if point["update_every"] == 1 else f", every {point['update_every']} slots"
+        name = (
+            KINDS[point["sends"]] + (f" → {point['model']}" if point["sends"] not in ("state", "embedding") else ""),
+            every,
+        )
+        groups.setdefault((point["sends"], *name), []).append(record)
+    for index, ((sends, name, every), members) in enumerate(groups.items()):
+        color, marker = styles[sends]
+        filled = index % 2 == 0
+        for number, record in enumerate(members):
+            score, half = plots.spread(record["rows"], "score")
+            axis.errorbar(
+                plots.mean(record["rows"], "bits_per_slot"),
+                score,
+                half,
+                color=color,
+                marker=marker,
+                markerfacecolor=color if filled else "white",
+                linestyle="",
+                markersize=5,
+                elinewidth=0.8,
+                label=name + every if number == 0 else None,
+            )
+            axis.annotate(
+                short_name(record["point"]),
+                (plots.mean(record["rows"], "bits_per_slot"), score),
+                xytext=(4, 3),
+                textcoords="offset points",
+                fontsize=5,
+            )
+    axis.axhline(ENOUGH, color="black", linewidth=0.8, linestyle=":")
+    axis.set(xlabel="bits per slot", ylabel="normalised score", xscale="log", ylim=(-0.05, 1.15))
+    axis.legend(fontsize=7, loc="center left", bbox_to_anchor=(1, 0.5))
+    plots.save(figure, path)
+
+
+def short_name(point: dict) -> str:
+    """Codec and quality of a point, with the dimension where it is in the model's name."""
+    dimension = point["model"].rpartition("-")[2] if point["sends"] == "embedding" and "-d" in point["model"] else ""
+    quality = "" if point.get("quality") is None else f" {point['quality']}"
+    codec = "crf" if point["sends"] == "video" else point["codec"]
+    return f"{dimension} {codec}{quality}".strip()
+
+
+def cheapest(records: list[dict], *sends: str, codec: str | None = None) -> dict | None:
+    """The record with the fewest bits per slot among those that send so and score enough, or None."""
+    good = [
+        record
+        for record in records
+        if record["point"]["sends"] in sends
+        and codec in (None, record["point"]["codec"])
+        and plots.mean(record["rows"], "score") >= ENOUGH
+    ]
+    return min(good, key=lambda record: plots.mean(record["rows"], "bits_per_slot"), default=None)
+
+
+def verdicts(records: list[dict]) -> dict[str, Verdict]:
+    """Bits of the cheapest setting of each kind that scores 0.9."""
+    every_slot = [record for record in records if record["point"]["update_every"] == 1]
+    found = {
+        "embedding": cheapest(every_slot, "embedding"),
+        "still picture": cheapest([r for r in every_slot if r["point"]["codec"] != "raw"], "stack", "stream"),
+        "raw frame": cheapest(every_slot, "stack", "stream", codec="raw"),
+        "H.264": cheapest(every_slot, "video"),
+        "embedding, with slots left out": cheapest(records, "embedding"),
+    }
+    bits = {name: plots.mean(record["rows"], "bits_per_slot") for name, record in found.items() if record}
+    ours = f"fewest bits per slot at a score of {ENOUGH}: " + ", ".join(
+        f"{name} {bits[name]:.0f} ({short_name(found[name]['point'])})" for name in bits
+    )
+    if "embedding" not in bits or "raw frame" not in bits or "still picture" not in bits:
+        lacking = ", ".join(name for name in found if name not in bits)
+        return {"fewer_bits": judge(False, ours, f"no setting recorded so far reaches that score as {lacking}")}
+    fewer = bits["embedding"] <= bits["still picture"] / 5 and bits["embedding"] <= bits["raw frame"] / 500
+    beats_video = "H.264" not in bits or bits["embedding"] <= bits["H.264"]
+    reason = (
+        "it saves less than five times against still pictures or 500 times against raw frames"
+        if not fewer
+        else "H.264, which the paper leaves out, needs fewer bits"
+    )
+    return {"fewer_bits": judge(fewer and beats_video, ours, reason, partly=bits["embedding"] < bits["raw frame"])}

@@ -1,0 +1,104 @@
+"""Embedding dimension, one device (paper fig_ts-jepa_pred_Enc_op)."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from pathlib import Path
+
+from tsjepa.evaluation.figures import one_device, plots
+from tsjepa.evaluation.figures.claims import Verdict, judge
+from tsjepa.evaluation.figures.loops import CURVE_STEP
+from tsjepa.evaluation.figures.store import flat
+
+TITLE = "Embedding dimension"
+CAPTION = (
+    "The zoo's TS-JEPA controllers of 16 to 256 dimensions: command error beside the expert that drives (every slot), "
+    "bits of an fp32 embedding, normalised score with an update in every slot, every 5 and every 10, and the share of "
+    "starts in the box after one update at the start. 95 % intervals over evaluation seeds; one training seed."
+)
+MEASURES = ("score", "nmae")
+ONCE = one_device.ONCE
+evaluate = one_device.evaluate
+
+
+def points(models: dict, update_every: list[int], sizes: dict) -> list[dict]:
+    """The sweep.
+
+    Args:
+        models: entry of the zoo by dimension.
+        update_every: slots between updates; 0 is once.
+        sizes: ``seeds``, ``starts``, ``slots``, ``process_noise_std``.
+    """
+    common = {"sends": "embedding", "codec": "fp32", "between": "predict"}
+    return [
+        {"dimension": int(dimension), "model": model, "update_every": period} | common | sizes
+        for period in update_every
+        for dimension, model in models.items()
+    ]
+
+
+def draw(records: list[dict], path: str | Path) -> None:
+    """Command error, bits, score and the horizon of one update."""
+    rows = flat(records)
+    dimensions = sorted(plots.distinct(rows, "dimension"))
+    figure, axes = plots.canvas(columns=4, width=4)
+    fresh = [(dimension, plots.select(rows, dimension=dimension, update_every=1)) for dimension in dimensions]
+    fresh = [(dimension, seeds) for dimension, seeds in fresh if seeds]
+    for axis, measure, name in ((axes[0], "nmae", "command NMAE"), (axes[1], "bits_per_slot", "bits per slot (fp32)")):
+        plots.errorbar(axis, fresh, measure, color=plots.PALETTE[0])
+        axis.set(ylabel=name)
+    periods = sorted(set(plots.distinct(rows, "update_every")) - {ONCE})
+    for color, period in zip(plots.PALETTE, periods, strict=False):
+        groups = [(dimension, plots.select(rows, dimension=dimension, update_every=period)) for dimension in dimensions]
+        groups = [(dimension, seeds) for dimension, seeds in groups if seeds]
+        plots.errorbar(axes[2], groups, "score", color=color, label=f"every {period}")
+    axes[2].set(ylabel="normalised score")
+    axes[2].legend(fontsize=8, title="slots")
+    for axis in axes[:3]:
+        axis.set(xlabel="embedding dimension", xscale="log")
+        axis.set_xticks(dimensions, [str(dimension) for dimension in dimensions])
+        axis.minorticks_off()
+    for color, dimension in zip(plots.PALETTE, dimensions, strict=False):
+        once = plots.select(rows, dimension=dimension, update_every=ONCE)
+        if once:
+            curve = plots.curve(once, "in_box")
+            slots = [CURVE_STEP * (index + 0.5) for index in range(len(curve))]
+            axes[3].plot(slots, curve, color=color, label=f"d = {dimension}")
+    axes[3].set(xlabel="slots since the only update", ylabel="share of starts in the box")
+    axes[3].legend(fontsize=8)
+    plots.save(figure, path)
+
+
+def verdicts(records: list[dict]) -> dict[str, Verdict]:
+    """Trends from the smallest to the largest dimension."""
+    rows = flat(records)
+    dimensions = sorted(plots.distinct(rows, "dimension"))
+    if len(dimensions) < 2:
+        return {}
+
+    def means(period: int, measure: str) -> list[float]:
+        return [plots.mean(plots.select(rows, dimension=d, update_every=period), measure) for d in dimensions]
+
+    def listed(values: list[float], digits: int) -> str:
+        return ", ".join(f"{value:.{digits}f} (d = {d})" for d, value in zip(dimensions, values, strict=True))
+
+    errors, bits, scores = means(1, "nmae"), means(1, "bits_per_slot"), means(10, "score")
+    return {
+        "dimension_nmae": judge(
+            all(first > second for first, second in pairwise(errors)),
+            f"command NMAE {listed(errors, 4)}",
+            "the state has four numbers and its two frames show them to few dimensions as well as to many",
+            partly=errors[-1] < errors[0],
+        ),
+        "dimension_bits": judge(
+            all(first < second for first, second in pairwise(bits)),
+            f"bits per slot {listed(bits, 0)}",
+            "the payload does not grow with the dimension",
+        ),
+        "dimension_score": judge(
+            all(first < second for first, second in pairwise(scores)),
+            f"normalised score with an update every 10 slots {listed(scores, 3)}",
+            "the score does not rise with every doubling",
+            partly=scores[-1] > scores[0],
+        ),
+    }

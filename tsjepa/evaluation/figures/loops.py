@@ -1,0 +1,172 @@
+"""One device in closed loop, from what it sends to its score: the rows of the figures without a fleet."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import astuple
+from functools import lru_cache
+
+import torch
+from torch import Tensor
+
+from tsjepa.evaluation.closed_loop import Starts, is_update, run, true_state_policy
+from tsjepa.evaluation.figures.senders import make_sender
+from tsjepa.evaluation.fleet_codecs import fitted_codec
+from tsjepa.evaluation.fleet_settings import Plants
+from tsjepa.evaluation.metrics import COMMAND_RANGE, Run, normalized_score
+from tsjepa.network.codecs import payload_bits
+
+CURVE_STEP = 5  # slots between the recorded values of a curve
+SAMPLING_INTERVAL = 0.02  # s; that of every entry but the printed recipe's
+FRAME_HISTORY = 4  # what the supervised controller with four frames needs: with it all meet the same starts
+
+
+def loop_rows(point: dict) -> list[dict]:
+    """Closed loops of a point, one row a seed.
+
+    Args:
+        point: ``model`` (an entry of the zoo, or None for the expert on the true state), ``sends``, ``codec``,
+            ``quality`` (see :func:`make_sender`), ``update_every`` (slots; 0 is once), ``between`` ("predict", "hold"
+            or "zero"), ``seeds``, ``starts``, ``slots``, ``process_noise_std``.
+
+    Returns:
+        ``score`` (normalised), ``failed`` (share), ``cost`` (quadratic), ``bits_per_slot``, and the curve ``in_box``,
+        the share of starts in the box, averaged over every :data:`CURVE_STEP` slots.
+    """
+    rows = []
+    for seed in range(point["seeds"]):
+        starts, policy = starts_of(point, seed), RemotePolicy(point)
+        loop = run(starts, policy)
+        rows.append(
+            {
+                "seed": seed,
+                "score": normalized_score(loop.raw_score(), optimal_scores(*astuple(starts))),
+                "raw_score": float(loop.raw_score().mean()),
+                "failed": float(loop.failed().float().mean()),
+                "cost": float(loop.quadratic_cost().mean()),
+                "bits_per_slot": policy.bits / (point["starts"] * point["slots"]),
+                "in_box": thinned(in_box(loop)),
+            }
+        )
+    return rows
+
+
+def command_rows(point: dict) -> list[dict]:
+    """Command error over 40 N of a point's controller, one row a seed: ``nmae`` and its curve ``nmae_by_slot``.
+
+    The expert drives and is the truth. A controller that predicts imagines, from its own commands, the loop that the
+    expert really closes.
+
+    Args:
+        point: see :func:`loop_rows`.
+    """
+    rows = []
+    for seed in range(point["seeds"]):
+        error = command_error(starts_of(point, seed), RemotePolicy(point))
+        rows.append({"seed": seed, "nmae": float(error.mean()), "nmae_by_slot": thinned(error)})
+    return rows
+
+
+def starts_of(point: dict, seed: int) -> Starts:
+    """The starts of one seed of a point; every controller with the same frame history has the same ones."""
+    model = None if point["model"] is None else load(point["model"])
+    interval = SAMPLING_INTERVAL if model is None else model.architecture.sampling_interval
+    history = FRAME_HISTORY if model is None else max(FRAME_HISTORY, model.frame_history)
+    return Starts(seed, point["starts"], point["slots"], history, interval, point["process_noise_std"])
+
+
+@lru_cache(maxsize=4)
+def load(model: str):
+    """An entry of the zoo, kept for the next point."""
+    import tsjepa
+
+    return tsjepa.load(model)
+
+
+@lru_cache(maxsize=64)
+def optimal_scores(*starts) -> Tensor:
+    """Raw scores [N] of the optimal policy with perfect feedback on the same starts and noise.
+
+    It is the reference LQR, which over the evaluation starts is the better of the two that we have.
+    """
+    from tsjepa.envs.expert import reference_lqr
+
+    starts = Starts(*starts)
+    return run(starts, true_state_policy(reference_lqr(starts.sampling_interval), 1)).raw_score()
+
+
+def command_error(starts: Starts, policy: Callable) -> Tensor:
+    """Distance of the policy's commands to the expert's over 40 N [T], averaged over starts that the expert drives."""
+    from tsjepa.envs.expert import Expert
+
+    expert, commands = Expert(starts.sampling_interval), []
+
+    def driver(slot: int, observation) -> Tensor:
+        commands.append(policy(slot, observation))
+        return expert(observation["state"])
+
+    loop = run(starts, driver)
+    return (torch.stack(commands) - loop.action).abs().mean((1, 2)) / COMMAND_RANGE
+
+
+def in_box(loop: Run) -> Tensor:
+    """Share of the starts that are in the box after each slot [T]."""
+    state = loop.state[1:]
+    return ((state[..., 0].abs() <= 0.05) & (state[..., 1].abs() <= 0.05)).float().mean(1)
+
+
+def thinned(curve: Tensor) -> list[float]:
+    """A curve [T] averaged over every :data:`CURVE_STEP` slots; what is left over at its end is dropped."""
+    return curve[: len(curve) // CURVE_STEP * CURVE_STEP].view(-1, CURVE_STEP).mean(1).tolist()
+
+
+class RemotePolicy:
+    """The controller at the far end of a link that loses nothing: an update every so many slots.
+
+    ``bits`` counts what was sent, over all starts.
+
+    Args:
+        point: see :func:`loop_rows`.
+    """
+
+    def __init__(self, point: dict) -> None:
+        from tsjepa.envs import Renderer
+        from tsjepa.envs.expert import Expert
+
+        self.model = model = None if point["model"] is None else load(point["model"])
+        self.period, self.between = point["update_every"], point["between"]
+        if self.between not in ("predict", "hold", "zero"):
+            raise ValueError(f"Between updates a controller cannot {self.between!r}; choose predict, hold or zero.")
+        self.bits = 0
+        if model is None:
+            self.codec, self.expert = fitted_codec(point["codec"], Plants(), None), Expert(SAMPLING_INTERVAL)
+        else:
+            self.sender = make_sender(model, point["sends"], point["codec"], point.get("quality"))
+            self.renderer = Renderer()
+
+    @torch.no_grad()
+    def __call__(self, slot: int, observation) -> Tensor:
+        if is_update(slot, self.period):
+            self.command = self._received(observation, slot == 0)
+        elif self.between == "predict":
+            self.belief = self.model.predict(self.belief, self.command)
+            self.command = self.model.act(self.belief)
+        elif self.between == "zero":
+            self.command = torch.zeros_like(self.command)
+        return self.command
+
+    def _received(self, observation, fresh: bool) -> Tensor:
+        if self.model is None:
+            packets = self.codec.encode(observation["state"])
+            self.bits += int(payload_bits(packets).sum())
+            return self.expert(self.codec.decode(packets))
+        self.belief, bits = self.sender.send(self._frames(observation), fresh)
+        self.bits += int(bits.sum())
+        return self.model.act(self.belief)
+
+    def _frames(self, observation) -> Tensor:
+        """Stacks [N, kappa, H, W, 3]; the plants keep more frames than some controllers need."""
+        qpos = observation["qpos"][:, -self.model.frame_history :: self.model.architecture.frame_spacing]
+        colors = observation["colors"].repeat_interleave(qpos.shape[1], 0)
+        frames = self.renderer.render(qpos.flatten(0, 1).double().numpy(), colors.numpy())
+        return torch.from_numpy(frames).unflatten(0, qpos.shape[:2])
