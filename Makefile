@@ -15,7 +15,7 @@ EVALUATION_RECIPE ?= recipes/evaluate.yaml
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.setup-done
 
-.PHONY: help setup train-jepa train-actor data evaluate figures figures-check report test lint
+.PHONY: help setup train-jepa train-actor data evaluate figures figures-check report test lint faults audit
 
 help: ## print this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "%-12s %s\n", $$1, $$2}' Makefile
@@ -65,6 +65,13 @@ report: setup ## write docs/report.md and docs/report.html: each figure beside t
 
 test: setup ## run the unit tests and a smoke run of the whole chain
 	$(BIN)/python -m pytest
+
+faults: setup ## kill every command fifty times and record what survives (half an hour)
+	$(BIN)/python tests/faults/kills.py --kills 50
+
+audit: setup ## look up the installed packages in the database of known vulnerabilities (needs the network)
+	$(BIN)/python -m pip install --quiet $(PIP_FLAGS) -e '.[audit]'
+	$(BIN)/pip-audit --skip-editable
 
 lint: setup ## check style and formatting
 	$(BIN)/ruff check .
