@@ -14,9 +14,11 @@ import os
 import sys
 import warnings
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack, nullcontext
 from pathlib import Path
 
 from tsjepa.cli_errors import exit_status, explain, one_sentence
+from tsjepa.files import exclusive
 from tsjepa.trust import TRUST, restrict_recipes
 
 LIGHTNING_COMMANDS = {
@@ -125,6 +127,7 @@ def _run_lightning(program: str, command: str, options: list[str], trusted: bool
     from lightning.pytorch.cli import LightningArgumentParser, LightningCLI, SaveConfigCallback
 
     from tsjepa.training.allocator import keep_freed_memory
+    from tsjepa.training.callbacks import StopWhenNotFinite
 
     keep_freed_memory()
 
@@ -151,18 +154,30 @@ def _run_lightning(program: str, command: str, options: list[str], trusted: bool
             if command != "fit":
                 options.trainer.logger = False
 
+        # Two fits in one folder would mix their checkpoints and logs.
+        def before_fit(self) -> None:
+            if self.trainer.is_global_zero:
+                logger = self.trainer.logger
+                stack.enter_context(exclusive(logger.log_dir if logger else self.trainer.default_root_dir))
+
     # Lightning warns when it is handed arguments while the process has its own.
     warnings.filterwarnings("ignore", message="LightningCLI's args parameter")
-    CommandLine(
-        save_config_callback=SaveFitConfig,
-        seed_everything_default=0,
-        save_config_kwargs={"overwrite": True},
-        auto_configure_optimizers=False,
-        trainer_defaults={"plugins": {"class_path": "tsjepa.training.resume.AtomicCheckpointIO"}},
-        parser_class=Parser,
-        parser_kwargs={"prog": program},
-        args=[command, *options],
-    )
+    with ExitStack() as stack:
+        CommandLine(
+            save_config_callback=SaveFitConfig,
+            seed_everything_default=0,
+            save_config_kwargs={"overwrite": True},
+            auto_configure_optimizers=False,
+            trainer_defaults={
+                "plugins": {"class_path": "tsjepa.training.resume.AtomicCheckpointIO"},
+                "callbacks": [StopWhenNotFinite()],
+                # the data modules' own samplers know their process
+                "use_distributed_sampler": False,
+            },
+            parser_class=Parser,
+            parser_kwargs={"prog": program},
+            args=[command, *options],
+        )
 
 
 def run_command(command: str, options: list[str], program: str = "tsjepa") -> None:
@@ -182,7 +197,8 @@ def run_command(command: str, options: list[str], program: str = "tsjepa") -> No
     parser.add_function_arguments(function)
     values = parser.instantiate(parser.parse_args(_name_words(_find_recipes(options), function)))
     del values["config"]
-    function(**values)
+    with exclusive(values["output"]) if values.get("output") else nullcontext():
+        function(**values)
 
 
 def _name_words(options: list[str], function: Callable) -> list[str]:

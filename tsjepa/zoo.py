@@ -9,17 +9,18 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import shutil
 from dataclasses import asdict, fields
 from pathlib import Path
 
 import torch
 import yaml
+from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 from torch import nn
 
 from tsjepa import hub
+from tsjepa.files import exclusive, replace_folder
 from tsjepa.models import Architecture, SemanticController
 
 # What config.yaml may name as its kind, and the class and sizes that rebuild it; without a kind it is the first.
@@ -155,6 +156,8 @@ def save(
     Raises:
         ValueError: another dtype.
         TypeError: a model of no kind that :func:`load` could rebuild.
+        FileExistsError: another process is writing the same entry.
+        OSError: no room, or no right to write; what was there stays.
     """
     if dtype not in WEIGHT_DTYPES:
         raise ValueError(f"Weights are stored as {' or '.join(WEIGHT_DTYPES)}, not as {dtype!r}.")
@@ -163,25 +166,29 @@ def save(
         known = ", ".join(controller.__name__ for controller, _ in KINDS.values())
         raise TypeError(f"A {type(model).__name__} is no model of the zoo, which holds {known}.")
     folder = Path(folder)
-    partial = folder.with_name(folder.name + ".partial")
-    shutil.rmtree(partial, ignore_errors=True)
-    partial.mkdir(parents=True)
+    with exclusive(folder):
+        partial = folder.with_name(folder.name + ".partial")
+        shutil.rmtree(partial, ignore_errors=True)
+        partial.mkdir(parents=True)
+        try:
+            _write(model, kind, partial, metrics or {}, card, WEIGHT_DTYPES[dtype])
+        except (OSError, SafetensorError) as error:
+            shutil.rmtree(partial, ignore_errors=True)
+            raise OSError(f"The model could not be written to {folder} ({error}); what was there is whole.") from error
+        replace_folder(partial, folder)
+    return folder
+
+
+def _write(model: nn.Module, kind: str, partial: Path, metrics: dict, card: str, dtype: torch.dtype) -> None:
     sizes = {name: list(v) if isinstance(v, tuple) else v for name, v in asdict(model.architecture).items()}
     (partial / CONFIG).write_text(yaml.safe_dump({"kind": kind} | sizes, sort_keys=False))
-    (partial / METRICS).write_text(json.dumps(metrics or {}, indent=2) + "\n")
+    (partial / METRICS).write_text(json.dumps(metrics, indent=2) + "\n")
     (partial / CARD).write_text(card)
-    save_file(_stored(model, WEIGHT_DTYPES[dtype]), partial / WEIGHTS)
+    save_file(_stored(model, dtype), partial / WEIGHTS)
     (partial / WEIGHTS).chmod(0o644)  # safetensors lets only the owner read
     digests = {name: hashlib.sha256((partial / name).read_bytes()).hexdigest() for name in HASHED}
     # no newline at its end: a manifest that is cut anywhere is no longer JSON
     (partial / MANIFEST).write_text(json.dumps({"sha256": digests}, indent=2))
-    retired = folder.with_name(folder.name + ".retired")
-    shutil.rmtree(retired, ignore_errors=True)
-    if folder.exists():
-        os.replace(folder, retired)
-    os.replace(partial, folder)
-    shutil.rmtree(retired, ignore_errors=True)
-    return folder
 
 
 def _stored(model: nn.Module, dtype: torch.dtype) -> dict[str, torch.Tensor]:

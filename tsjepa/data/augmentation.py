@@ -14,6 +14,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from tsjepa.models.encoder import PATCH, PIXEL_MEAN, PIXEL_STD, patchify, unpatchify
+from tsjepa.parallel import rank_and_world_size
 
 LUMA = (0.299, 0.587, 0.114)  # ITU-R BT.601, the luma component that colour dropping keeps
 MID_GREY = 0.5  # contrast turns about it
@@ -63,7 +64,9 @@ class Augmentation(nn.Module):
             Patches of the same shape for ``Encoder.embed``; in the autocast dtype, else float32.
         """
         count, device = len(patches), patches.device
-        draws = self.draw(count // shared, generator).to(device).repeat_interleave(shared, 0)
+        rank, world_size = rank_and_world_size()  # under data parallelism, this process's share of the batch's draws
+        draws = self.draw(count // shared * world_size, generator)[rank::world_size]
+        draws = draws.to(device).repeat_interleave(shared, 0)
         dtype = torch.get_autocast_dtype(device.type) if torch.is_autocast_enabled(device.type) else torch.float32
         if self.blur_sigma is not None:
             patches = patchify(self.blur(unpatchify(patches), generator))

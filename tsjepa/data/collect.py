@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import functools
+import os
 import shutil
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -13,7 +16,15 @@ from torch import Tensor
 from tqdm import tqdm
 
 from tsjepa.data.contact_sheet import contact_sheet
-from tsjepa.data.storage import publish
+from tsjepa.data.storage import JOURNAL, publish
+from tsjepa.envs import FleetEnv, Renderer, StartDistribution
+from tsjepa.envs.camera import HEIGHT, WIDTH
+from tsjepa.envs.expert import Expert
+from tsjepa.files import exclusive
+from tsjepa.journal import Journal
+from tsjepa.workers import Workers, run_items
+
+FRAME_BYTES = HEIGHT * WIDTH * 3
 
 
 @dataclass
@@ -102,75 +113,125 @@ def collect(
     random_colors: bool = False,
     seed: int = 0,
     overwrite: bool = False,
+    workers: Workers = 1,
 ) -> Path:
     """Writes a memory-mapped data set; it appears under ``path`` whole, or not at all.
 
+    Work in progress lies beside it with the suffix ``.partial``. The same command goes on from there after a kill; the
+    bytes are the same, however often it was killed and however many workers there were.
+
     Args:
-        path: folder of the data set. Work in progress lies beside it with the suffix ``.partial`` and is started anew.
+        path: folder of the data set.
         splits: name to size and behaviour; every split has its own random streams.
         sampling_interval: slot length in seconds.
         slots: T; a trajectory has T commands and T + 1 frames.
         coverage: behaviour of the splits that ask for it.
         random_colors: draw cart and pole colours per episode.
         seed: seed of every stream.
-        overwrite: replace a data set that is there already.
-
-    Returns:
-        The folder.
-
-    Raises:
-        FileExistsError: there is a data set and ``overwrite`` is not set.
+        overwrite: replace the data set that is there.
+        workers: processes that render, or "ray" for a Ray cluster.
     """
-    from tsjepa.envs import FleetEnv, Renderer, StartDistribution
-    from tsjepa.envs.expert import Expert
-
+    if not splits or min(split.episodes for split in splits.values()) < 1 or slots < 1:
+        raise ValueError("A data set needs at least one split, and in it at least one episode of at least one slot.")
     folder = Path(path)
-    if folder.exists() and not overwrite:
-        raise FileExistsError(f"{folder} exists; pass --overwrite true to collect it anew, or choose another path.")
-    partial = folder.with_name(folder.name + ".partial")
-    shutil.rmtree(partial, ignore_errors=True)
-    partial.mkdir(parents=True)
-    renderer, expert = Renderer(), Expert(sampling_interval)
-    frames = sum(split.episodes for split in splits.values()) * (slots + 1)
-    histogram = torch.zeros(40, dtype=torch.float64)
-    with tqdm(total=frames, unit="frame", desc=f"collect {folder.name}") as progress:
+    with exclusive(folder):
+        if folder.exists() and not overwrite:
+            raise FileExistsError(f"{folder} exists; pass --overwrite true to collect it anew, or choose another path.")
+        partial = folder.with_name(folder.name + ".partial")
+        partial.mkdir(parents=True, exist_ok=True)
+        metadata = {
+            "splits": {name: asdict(split) for name, split in splits.items()},
+            "sampling_interval": sampling_interval,
+            "slots": slots,
+            "coverage": asdict(coverage),
+            "random_colors": random_colors,
+            "seed": seed,
+            "camera": renderer().metadata(),
+        }
+        check_space(partial, sum(split.episodes for split in splits.values()) * (slots + 1) * FRAME_BYTES)
+        journal = Journal(partial / JOURNAL, metadata)
+        if not journal.done:
+            for stale in partial.iterdir():
+                if stale.is_dir():
+                    shutil.rmtree(stale)
+        stored = {}
         for index, (name, split) in enumerate(splits.items()):
-            stream = seed * 1000 + index
-            fleet = FleetEnv(
-                split.episodes,
-                sampling_interval=sampling_interval,
-                episode_length=slots,
-                random_colors=random_colors,
-                start=StartDistribution(),
-                seed=stream,
-                terminate_on_failure=False,
-            )
-            generator = torch.Generator().manual_seed(stream)
-            trajectories = simulate(split, coverage, slots, fleet, expert, generator)
-            shape = (split.episodes, slots + 1, renderer.height, renderer.width, 3)
-            stored = trajectories.memmap(partial / name)
-            pixels = stored.make_memmap("pixels", shape=torch.Size(shape), dtype=torch.uint8)
-            for episode in range(split.episodes):
-                qpos = trajectories["state"][episode, :, :2].double().numpy()
-                colors = trajectories["colors"][episode].numpy() if random_colors else None
-                pixels[episode] = torch.from_numpy(renderer.render(qpos, colors))
-                progress.update(slots + 1)
-            histogram += torch.histc(trajectories["action"][:, :-1].double(), 40, -20, 20)
-    cv2_write(partial / "contact_sheet.png", contact_sheet({n: TensorDict.load_memmap(partial / n) for n in splits}))
-    metadata = {
-        "splits": {name: asdict(split) for name, split in splits.items()},
-        "sampling_interval": sampling_interval,
-        "slots": slots,
-        "coverage": asdict(coverage),
-        "random_colors": random_colors,
-        "seed": seed,
-        "camera": renderer.metadata(),
-        "command_histogram": {"from": -20, "to": 20, "counts": histogram.long().tolist()},
-    }
-    if folder.exists():
-        shutil.rmtree(folder)
-    publish(partial, folder, metadata)
+            if f"{name} simulated" not in journal.done:
+                stream = seed * 1000 + index
+                fleet = FleetEnv(
+                    split.episodes,
+                    sampling_interval=sampling_interval,
+                    episode_length=slots,
+                    random_colors=random_colors,
+                    start=StartDistribution(),
+                    seed=stream,
+                    terminate_on_failure=False,
+                )
+                generator = torch.Generator().manual_seed(stream)
+                trajectories = simulate(split, coverage, slots, fleet, Expert(sampling_interval), generator)
+                shutil.rmtree(partial / name, ignore_errors=True)
+                start_split(partial / name, trajectories)
+                journal.add(f"{name} simulated")
+            stored[name] = TensorDict.load_memmap(partial / name, allow_pickle=False)
+        render_missing(stored, journal, workers, random_colors, folder.name)
+        counts = torch.zeros(40, dtype=torch.float64)
+        for split in stored.values():
+            counts += torch.histc(split["action"][:, :-1].double(), 40, -20, 20)
+        metadata["command_histogram"] = {"from": -20, "to": 20, "counts": counts.long().tolist()}
+        cv2_write(partial / "contact_sheet.png", contact_sheet(stored))
+        publish(partial, folder, metadata)
     return folder
+
+
+def check_space(folder: Path, needed: int) -> None:
+    """Raises OSError where the disk cannot hold ``needed`` more bytes; a full one would kill whoever writes a map."""
+    free = shutil.disk_usage(folder).free + sum(path.stat().st_blocks * 512 for path in folder.rglob("*"))
+    if free < needed:
+        raise OSError(f"The data set needs {needed / 1e6:.0f} MB, and {folder.parent} has {free / 1e6:.0f} MB free.")
+
+
+def start_split(folder: Path, trajectories: TensorDict) -> None:
+    """Writes all of one split but the frames, for which it makes room."""
+    stored = trajectories.memmap(folder)
+    shape = torch.Size((*trajectories.batch_size, HEIGHT, WIDTH, 3))
+    stored.make_memmap("pixels", shape=shape, dtype=torch.uint8)
+    if hasattr(os, "posix_fallocate"):
+        # a map of a file without its blocks ends the process, without a word, on the frame that no longer fits
+        with (folder / "pixels.memmap").open("r+b") as file:
+            os.posix_fallocate(file.fileno(), 0, stored["pixels"].numel())
+
+
+def render_missing(
+    stored: dict[str, TensorDict], journal: Journal, workers: Workers, random_colors: bool, name: str
+) -> None:
+    """Renders the episodes that the journal does not have, each one an item of work."""
+    episodes = [(split, episode) for split, data in stored.items() for episode in range(len(data))]
+    missing = [item for item in episodes if f"{item[0]} {item[1]}" not in journal.done]
+    frames = stored[missing[0][0]].shape[1] if missing else 0
+
+    def views() -> Iterator[tuple[np.ndarray, np.ndarray | None]]:
+        for split, episode in missing:
+            data = stored[split][episode]
+            colors = data["colors"].numpy() if random_colors else None
+            yield data["state"][:, :2].double().numpy(), colors
+
+    with tqdm(total=len(missing) * frames, unit="frame", desc=f"collect {name}") as progress:
+        for index, pixels in run_items(render_episode, views(), workers):
+            split, episode = missing[index]
+            stored[split]["pixels"][episode] = torch.from_numpy(pixels)
+            journal.add(f"{split} {episode}")
+            progress.update(frames)
+
+
+@functools.cache
+def renderer() -> Renderer:
+    """The camera of this process."""
+    return Renderer()
+
+
+def render_episode(view: tuple[np.ndarray, np.ndarray | None]) -> np.ndarray:
+    """Frames [T + 1, H, W, 3] of one episode from its qpos [T + 1, 2] and colours [T + 1, 2, 3] or None."""
+    return renderer().render(*view)
 
 
 def cv2_write(path: Path, image: np.ndarray) -> None:

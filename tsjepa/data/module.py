@@ -9,6 +9,7 @@ import lightning
 from tensordict import TensorDictBase
 from torch.utils.data import DataLoader
 
+from tsjepa.data.checks import check_split
 from tsjepa.data.storage import METADATA, open_split, read_metadata
 from tsjepa.data.windows import WindowDataset, WindowSampler
 
@@ -69,6 +70,9 @@ class Trajectories(lightning.LightningDataModule):
 
     def setup(self, stage: str | None = None) -> None:
         self.metadata = read_metadata(self.path)
+        if stage == "fit":
+            for name in self.metadata["splits"]:
+                check_split(self.split(name), name)
 
     def split(self, name: str) -> TensorDictBase:
         """One split, memory-mapped; [episodes, T + 1]."""

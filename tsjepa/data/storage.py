@@ -10,16 +10,16 @@ from tensordict import TensorDict
 
 from tsjepa.files import replace_folder
 
-METADATA = "metadata.json"
+METADATA, JOURNAL = "metadata.json", "journal.jsonl"
 FORMAT = 1
 
 
 def file_sizes(folder: Path) -> dict[str, int]:
-    """Bytes of every file of the data set except the metadata, by path relative to ``folder``."""
+    """Bytes of every file of the data set except metadata and journal, by path relative to ``folder``."""
     return {
         path.relative_to(folder).as_posix(): path.stat().st_size
         for path in sorted(folder.rglob("*"))
-        if path.is_file() and path.name != METADATA
+        if path.is_file() and path.name not in (METADATA, JOURNAL)
     }
 
 
@@ -39,6 +39,7 @@ def publish(partial: Path, folder: Path, metadata: dict) -> None:
     metadata = {"format": FORMAT, **metadata, "sha256": content_hash(partial), "files": file_sizes(partial)}
     (partial / METADATA).write_text(json.dumps(metadata, indent=2) + "\n")
     replace_folder(partial, folder)
+    (folder / JOURNAL).unlink(missing_ok=True)
 
 
 def read_metadata(folder: str | Path) -> dict:

@@ -161,9 +161,13 @@ class Renderer:
 
     def _ready(self) -> None:
         if self._gl is not None:
-            # Another renderer of this process may have made its own context current.
-            self._gl.make_current()
-            return
+            try:
+                # Another renderer of this process may have made its own context current.
+                self._gl.make_current()
+                return
+            except Exception:
+                # The driver has dropped the context (a GPU that was reset, a laptop that slept): make a new one.
+                self._gl = None
         scale = self.view.supersampling
         height, width = self.height * scale, self.width * scale
         self._model = load_model()

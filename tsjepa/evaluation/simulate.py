@@ -22,6 +22,7 @@ from tsjepa.evaluation.fleet_settings import Plants, Radio
 from tsjepa.evaluation.metrics import interval, normalized_score
 from tsjepa.evaluation.provenance import provenance
 from tsjepa.files import write_text
+from tsjepa.journal import Journal
 
 
 def simulate(
@@ -39,7 +40,7 @@ def simulate(
     """Runs a fleet of cart-poles on one radio under each scheduler, on the same plants and the same channels.
 
     Writes fleet.json, devices.csv, scores.png, ages.png, fleet.mp4 and fleet.gif for a fleet of ``num_devices``, and
-    search.json and search.png where ``search_over`` is given.
+    search.json and search.png where ``search_over`` is given. A search that was killed goes on where it was.
 
     Args:
         num_devices: I, or None for the search alone.
@@ -88,8 +89,15 @@ def simulate(
         result["fleet"] = made | _one_fleet(run, schedulers, num_devices, optimal, folder, video)
         write_text(folder / "fleet.json", json.dumps(result["fleet"], indent=1) + "\n")
     if search_over:
-        result["search"] = made | _search(run, schedulers, search_over, optimal, acceptable_score)
+        depends_on = {
+            **made["settings"],
+            "commit": made["made_by"]["commit"],
+            "model": getattr(brain, "entry_sha256", None),
+        }
+        journal = Journal(folder / "search.journal", depends_on)
+        result["search"] = made | _search(run, schedulers, search_over, optimal, acceptable_score, journal)
         write_text(folder / "search.json", json.dumps(result["search"], indent=1) + "\n")
+        journal.path.unlink()
         capacity_plot(result["search"], folder / "search.png")
         print(fleet_search.table(result["search"]["largest"]))
     print(f"Figures and plots are in {folder}.")
@@ -171,26 +179,31 @@ def device_rows(scheduler: str, runs: list[FleetRun], optimal: Tensor) -> list[d
     return rows
 
 
-def _search(run, schedulers: Sequence[str], sizes: Sequence[int], optimal: Tensor, acceptable: float) -> dict:
+def _search(
+    run, schedulers: Sequence[str], sizes: Sequence[int], optimal: Tensor, acceptable: float, journal: Journal
+) -> dict:
     points = []
 
+    def point(scheduler: str, count: int, seed: int) -> dict:
+        fleet_run = run(scheduler, count, seed)
+        return {
+            "scheduler": scheduler,
+            "num_devices": count,
+            "seed": seed,
+            "normalized_score": normalized_score(fleet_run.loop.raw_score(), optimal[seed, :count]),
+            "failed_share": float(fleet_run.loop.failed().float().mean()),
+            "mean_age": float(fleet_run.age.double().mean()),
+            "delivery_rate": fleet_run.delivery_rate(),
+            "utilisation": fleet_run.utilisation(),
+        }
+
     def score(scheduler: str, count: int) -> list[float]:
-        scores = []
-        for seed, best in enumerate(optimal[:, :count]):
-            fleet_run = run(scheduler, count, seed)
-            scores.append(normalized_score(fleet_run.loop.raw_score(), best))
-            points.append(
-                {
-                    "scheduler": scheduler,
-                    "num_devices": count,
-                    "seed": seed,
-                    "normalized_score": scores[-1],
-                    "failed_share": float(fleet_run.loop.failed().float().mean()),
-                    "mean_age": float(fleet_run.age.double().mean()),
-                    "delivery_rate": fleet_run.delivery_rate(),
-                    "utilisation": fleet_run.utilisation(),
-                }
-            )
+        for seed in range(len(optimal)):
+            key = f"{scheduler}, {count} devices, seed {seed}"
+            if key not in journal.done:
+                journal.add(key, point(scheduler, count, seed))
+            points.append(journal.done[key])
+        scores = [row["normalized_score"] for row in points[-len(optimal) :]]
         progress.update()
         progress.set_postfix_str(f"{scheduler}, {count} devices: {fleet_search.mean(scores):.3f}")
         return scores

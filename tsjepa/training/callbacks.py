@@ -12,6 +12,40 @@ from tensordict import TensorDictBase
 from tsjepa import zoo
 
 
+class StopWhenNotFinite(lightning.Callback):
+    """Ends a fit whose loss or weights are no longer finite, before a checkpoint of them is written.
+
+    Every ``tsjepa fit`` has it. A loss is looked at one step later, when the device has long computed it.
+    """
+
+    def __init__(self) -> None:
+        self.loss: torch.Tensor | None = None
+
+    def on_train_batch_end(self, trainer: lightning.Trainer, module, outputs, batch, batch_idx: int) -> None:
+        self.check(trainer, self.loss)
+        loss = outputs["loss"] if isinstance(outputs, dict) else outputs
+        self.loss = loss.detach() if isinstance(loss, torch.Tensor) else None
+
+    def on_validation_start(self, trainer: lightning.Trainer, module: lightning.LightningModule) -> None:
+        if trainer.state.fn == "fit":
+            self.check(trainer, self.loss, *module.parameters())
+
+    def on_train_epoch_end(self, trainer: lightning.Trainer, module: lightning.LightningModule) -> None:
+        # the checkpoint's callback comes after this one
+        self.check(trainer, self.loss, *module.parameters())
+
+    def check(self, trainer: lightning.Trainer, *tensors: torch.Tensor | None) -> None:
+        """Raises FloatingPointError, which names the last good checkpoint, unless all ``tensors`` are finite."""
+        if all(tensor is None or bool(tensor.isfinite().all()) for tensor in tensors):
+            return
+        kept = getattr(trainer.checkpoint_callback, "last_model_path", "")
+        advice = f"the last good checkpoint is {kept}" if kept else "there is no checkpoint yet"
+        raise FloatingPointError(
+            f"The loss exploded: it or the weights are not finite by step {trainer.global_step} of epoch "
+            f"{trainer.current_epoch}; {advice}. Lower the learning rate, or set trainer.gradient_clip_val."
+        )
+
+
 class ExportModel(lightning.Callback):
     """Writes the module's controller as a zoo entry when the fit ends, so that a run's result loads like any other.
 

@@ -11,6 +11,7 @@ from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from tsjepa.data.augmentation import Augmentation
 from tsjepa.models import Architecture, Encoder, Predictor, SemanticController
+from tsjepa.parallel import gather
 from tsjepa.training.embeddings import embed_split
 from tsjepa.training.losses import InverseDynamics, cosine_loss, covariance_loss, variance_loss
 from tsjepa.training.pretrained import start_from
@@ -84,7 +85,7 @@ class TSJEPA(lightning.LightningModule):
         gap = commands.shape[1] // (stacks - 1)
         terms = {"prediction_loss": self.prediction_loss(embedding, target, commands, gap)}
         loss = terms["prediction_loss"]
-        flat = embedding.flatten(0, 1)
+        flat = gather(embedding.flatten(0, 1))
         if self.variance_weight:
             terms["variance_loss"] = variance_loss(flat)
             loss = loss + self.variance_weight * terms["variance_loss"]

@@ -27,16 +27,30 @@ class AtomicCheckpointIO(TorchCheckpointIO):
         path = Path(path)
         path.parent.mkdir(parents=True, exist_ok=True)
         partial = path.with_name(path.name + ".partial")
-        with partial.open("wb") as file:
-            torch.save(checkpoint, file)
-            file.flush()
-            os.fsync(file.fileno())
+        try:
+            with partial.open("wb") as file:
+                torch.save(checkpoint, file)
+                file.flush()
+                os.fsync(file.fileno())
+        except (OSError, RuntimeError) as error:
+            # torch's writer reports a full disk as a RuntimeError
+            partial.unlink(missing_ok=True)
+            raise OSError(
+                f"The checkpoint {path} could not be written ({_cause(error)}); the one before is whole: make room, "
+                "then go on with --ckpt_path last."
+            ) from error
         os.replace(partial, path)
 
     def load_checkpoint(
         self, path: str | Path, map_location: Any = "cpu", weights_only: bool | None = None
     ) -> dict[str, Any]:
         return load_checkpoint(str(path), map_location, trusted=weights_only is False)
+
+
+def _cause(error: BaseException) -> str:
+    while error.__context__ is not None and not isinstance(error, OSError):
+        error = error.__context__
+    return error.strerror if isinstance(error, OSError) and error.strerror else "the file system took no more"
 
 
 class ContinuedWriter(ExperimentWriter):
