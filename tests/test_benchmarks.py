@@ -34,3 +34,9 @@ def test_training_step(tmp_path):
     assert result["samples_per_step"] == 16
     assert result["training_over_resident"]["median"] > 0
     assert 0 < result["peak_memory_gib"] < 6
+
+
+def test_memory(tmp_path):
+    result = run("memory.py", tmp_path, "--devices", "200", "--slots", "1000")
+    assert result["episodes"] == 2000
+    assert result["growth_percent"] < 2

@@ -43,6 +43,15 @@ def shrink(value):
     return small
 
 
+def replace(value, changes: dict):
+    """The recipe with these keys changed wherever they stand."""
+    if isinstance(value, list):
+        return [replace(item, changes) for item in value]
+    if not isinstance(value, dict):
+        return value
+    return {key: changes.get(key, replace(item, changes)) for key, item in value.items()}
+
+
 def load(name: str) -> dict:
     """A recipe as it is shipped."""
     return yaml.safe_load((ROOT / name).read_text())

@@ -1,0 +1,246 @@
+"""Full disks, read-only folders, two processes in one folder, and data that is damaged or makes no sense."""
+
+import json
+import os
+import re
+import resource
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import yaml
+from conftest import DATA, DATA_RECIPE, RECIPE, RUN
+from tensordict import TensorDict
+
+from tsjepa import zoo
+from tsjepa.data.storage import METADATA, open_split
+from tsjepa.files import exclusive, replace_folder, write_text
+from tsjepa.journal import Journal
+from tsjepa.training.resume import AtomicCheckpointIO
+
+EXPORT = ("export", f"{RUN}/model", "tiny")
+
+
+@pytest.fixture
+def file_size_limit():
+    """Lets no file grow beyond so many bytes, which is how a disk that is full answers; for every user."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    yield lambda size: resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+@pytest.fixture
+def mount():
+    """Mounts a small file system over a folder, for root; a container may be forbidden to."""
+    mounted = []
+
+    def tmpfs(folder: Path, options: str) -> None:
+        folder.mkdir(exist_ok=True)
+        if subprocess.run(["mount", "-t", "tmpfs", "-o", options, "tmpfs", folder], capture_output=True).returncode:
+            pytest.skip("no right to mount a file system")
+        mounted.append(folder)
+
+    yield tmpfs
+    for folder in mounted:
+        subprocess.run(["umount", folder], check=True)
+
+
+@pytest.fixture
+def small_disk(tmp_path, mount):
+    """A folder on a file system of 2 MB."""
+    mount(tmp_path / "disk", "size=2m")
+    return tmp_path / "disk"
+
+
+@pytest.fixture
+def seal(mount):
+    """Makes a folder read-only, also for root."""
+    sealed = []
+
+    def make_read_only(folder: Path) -> None:
+        if os.geteuid() == 0:
+            mount(folder, "ro")
+        else:
+            folder.chmod(0o500)
+            sealed.append(folder)
+
+    yield make_read_only
+    for folder in sealed:
+        folder.chmod(0o700)
+
+
+@pytest.fixture
+def evaluation(home):
+    """An evaluation of the model that the tiny fit left."""
+    figures = {"model": f"{RUN}/model", "closed_loop": [], "starts": "none", "optimal_policy": "expert"}
+    figures["made_by"] = {"command": "tsjepa evaluate", "commit": "none", "date": "today"}
+    (home / "runs" / "evaluation").mkdir()
+    (home / "runs" / "evaluation" / "evaluation.json").write_text(json.dumps(figures))
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def test_a_data_set_that_does_not_fit_is_refused_before_it_is_begun(home, command, small_disk):
+    status, complaint = command("collect", "--config", DATA_RECIPE, "--path", str(small_disk / "data"))
+    assert status == 1
+    assert "The data set needs" in complaint and "MB free" in complaint
+
+
+def test_a_disk_that_fills_up_meanwhile_is_named(home, command, small_disk, monkeypatch):
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: shutil._ntuple_diskusage(1 << 60, 0, 1 << 60))
+    status, complaint = command("collect", "--config", DATA_RECIPE, "--path", str(small_disk / "data"))
+    assert status == 1 and "No space left on device" in complaint
+    assert not (small_disk / "data").exists()
+
+
+def test_a_checkpoint_that_does_not_fit_leaves_the_one_before(home, command, file_size_limit):
+    before = contents(home / RUN / "checkpoints")
+    file_size_limit(50_000)
+    status, complaint = command("fit", "--config", RECIPE, "--ckpt_path", "last", "--trainer.max_epochs", "3")
+    assert status == 1 and ".ckpt could not be written (File too large)" in complaint
+    assert "--ckpt_path last" in complaint
+    assert contents(home / RUN / "checkpoints") == before
+
+
+def test_a_checkpoint_on_a_full_disk_leaves_the_one_before(small_disk):
+    path = small_disk / "last.ckpt"
+    AtomicCheckpointIO().save_checkpoint({"step": 1}, path)
+    with pytest.raises(OSError, match=r"last\.ckpt could not be written \(No space left on device\)"):
+        AtomicCheckpointIO().save_checkpoint({"step": 2, "much": torch.zeros(1_000_000)}, path)
+    assert AtomicCheckpointIO().load_checkpoint(path) == {"step": 1}
+    assert [file.name for file in small_disk.iterdir()] == ["last.ckpt"]
+
+
+def test_an_entry_that_does_not_fit_leaves_the_one_before(evaluation, home, command, file_size_limit):
+    assert command(*EXPORT)[0] == 0
+    before = contents(home / "checkpoints")
+    file_size_limit(2_000)
+    status, complaint = command(*EXPORT)
+    assert status == 1 and "could not be written to checkpoints/tiny" in complaint
+    assert contents(home / "checkpoints") == before
+
+
+def test_text_that_does_not_fit_leaves_the_text_before(small_disk):
+    write_text(small_disk / "search.json", "before")
+    with pytest.raises(OSError, match="No space left"):
+        write_text(small_disk / "search.json", "x" * 4_000_000)
+    assert (small_disk / "search.json").read_text() == "before"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "folder"),
+    [
+        (("collect", "--config", DATA_RECIPE, "--path", "sealed/data"), "sealed"),
+        (("fit", "--config", RECIPE), "runs"),
+        (EXPORT, "checkpoints"),
+        (("simulate", "--config", "recipes/fleet-search.yaml"), "runs"),
+    ],
+)
+def test_a_folder_that_may_not_be_written_is_named(evaluation, home, command, seal, arguments, folder):
+    (home / folder).mkdir(exist_ok=True)
+    seal(home / folder)
+    status, complaint = command(*arguments)
+    assert status == 1
+    assert re.search("Permission denied|Read-only file system", complaint) and folder in complaint
+
+
+@pytest.mark.parametrize(
+    ("arguments", "folder"),
+    [
+        (("collect", "--config", DATA_RECIPE, "--overwrite", "true"), DATA),
+        (("fit", "--config", RECIPE), RUN),
+        (EXPORT, "checkpoints/tiny"),
+        (("simulate", "--config", "recipes/fleet-search.yaml"), "runs/fleet-search"),
+        (("evaluate", "--config", "recipes/evaluate.yaml"), "runs/evaluation"),
+    ],
+)
+def test_a_second_run_in_the_same_folder_is_refused(evaluation, home, command, arguments, folder):
+    before = contents(home)
+    with exclusive(home / folder):
+        status, complaint = command(*arguments)
+    assert status == 2
+    assert f"Another process is writing {folder}" in complaint
+    assert contents(home) == before
+
+
+def test_a_folder_is_free_again_after_a_run(home):
+    for _ in range(2):
+        with exclusive(home / RUN), pytest.raises(FileExistsError, match="Another process"), exclusive(home / RUN):
+            pass
+    assert not list(home.rglob("*.lock"))
+
+
+@pytest.mark.parametrize("exchange", [True, False])
+def test_a_folder_is_replaced(tmp_path, monkeypatch, exchange):
+    if not exchange:
+        monkeypatch.setattr("sys.platform", "another")
+    for number in range(3):
+        (tmp_path / "new").mkdir()
+        (tmp_path / "new" / "number").write_text(str(number))
+        replace_folder(tmp_path / "new", tmp_path / "place")
+        assert (tmp_path / "place" / "number").read_text() == str(number)
+        assert [path.name for path in tmp_path.iterdir()] == ["place"]
+
+
+def test_a_journal_counts_whole_lines_of_the_same_settings(tmp_path):
+    path = tmp_path / "journal"
+    for key in "abc":
+        Journal(path, {"seed": 1}).add(key, {"score": 0.1})
+    path.write_text(path.read_text()[:-3])
+    journal = Journal(path, {"seed": 1})
+    assert journal.done == {"a": {"score": 0.1}, "b": {"score": 0.1}}
+    journal.add("c", 0.1)
+    assert Journal(path, {"seed": 1}).done["c"] == 0.1
+    assert Journal(path, {"seed": 2}).done == {}
+    assert Journal(path, {"seed": 1}).done == {}
+
+
+def test_a_cut_map_is_named_by_the_fit(home, command):
+    pixels = home / DATA / "train" / "pixels.memmap"
+    pixels.write_bytes(pixels.read_bytes()[:-1])
+    status, complaint = command("fit", "--config", RECIPE)
+    assert status == 2 and "is damaged: train/pixels.memmap has" in complaint
+
+
+@pytest.mark.parametrize("name", [METADATA, "train/meta.json"])
+def test_a_damaged_description_of_a_data_set_is_named(home, command, name):
+    path = home / DATA / name
+    path.write_text(path.read_text().replace('"', "'", 1))
+    status, complaint = command("fit", "--config", RECIPE)
+    assert status == 2 and "damaged" in complaint and str(DATA) in complaint
+
+
+def spoil(split: TensorDict, key: str) -> None:
+    if key == "pixels":
+        split["pixels"][1] = split["pixels"][1, 0].clone()
+    else:
+        split[key][1, 3] = np.nan
+
+
+@pytest.mark.parametrize(
+    ("key", "said"),
+    [
+        ("state", "state is not finite"),
+        ("action", "action is not finite"),
+        ("pixels", "frames of its trajectory 1 are"),
+    ],
+)
+def test_data_that_make_no_sense_are_refused_before_the_fit(home, command, key, said):
+    spoil(open_split(home / DATA, "train"), key)
+    status, complaint = command("fit", "--config", RECIPE)
+    assert status == 2 and said in complaint and "collect the data set anew" in complaint
+
+
+def test_weights_that_were_tampered_with_are_refused_by_every_command(evaluation, home, command):
+    weights = home / RUN / "model" / zoo.WEIGHTS
+    weights.write_bytes(weights.read_bytes()[:-1] + b"\x7f")
+    recipe = yaml.safe_load((home / "recipes" / "actor.yaml").read_text())
+    assert recipe["model"]["init_args"]["pretrained"] == f"{RUN}/model"
+    for arguments in (EXPORT, ("evaluate", "--model", f"{RUN}/model"), ("fit", "--config", "recipes/actor.yaml")):
+        status, complaint = command(*arguments)
+        assert status == 2 and "is not the file that the manifest names" in complaint
