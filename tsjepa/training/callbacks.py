@@ -10,6 +10,7 @@ import torch
 from tensordict import TensorDictBase
 
 from tsjepa import zoo
+from tsjepa.evaluation.provenance import provenance
 
 
 class StopWhenNotFinite(lightning.Callback):
@@ -58,7 +59,8 @@ class ExportModel(lightning.Callback):
 
     def on_fit_end(self, trainer: lightning.Trainer, module: lightning.LightningModule) -> None:
         if trainer.is_global_zero:
-            metrics = {name: float(value) for name, value in trainer.callback_metrics.items()}
+            values = {name: float(value) for name, value in trainer.callback_metrics.items()}
+            metrics = {"made_by": provenance(), **values}
             with torch.random.fork_rng():
                 # so that parts which this fit does not train come out alike in a resumed one
                 torch.manual_seed(0)
