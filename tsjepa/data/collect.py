@@ -15,6 +15,7 @@ from tensordict import TensorDict
 from torch import Tensor
 from tqdm import tqdm
 
+from tsjepa.checks import at_least, within
 from tsjepa.data.contact_sheet import contact_sheet
 from tsjepa.data.storage import JOURNAL, publish
 from tsjepa.envs import FleetEnv, Renderer, StartDistribution
@@ -57,6 +58,12 @@ class Coverage:
     set_point_range: float = 0.8
     noise_memory: float = 0.8
     noise_std: float = 1.5
+
+    def __post_init__(self) -> None:
+        at_least(1, hold_slots=self.hold_slots)
+        at_least(0, set_point_range=self.set_point_range, noise_std=self.noise_std)
+        within(0, 1, change_probability=self.change_probability)
+        within(-1, 1, noise_memory=self.noise_memory)
 
     def draw(self, episodes: int, slots: int, generator: torch.Generator) -> tuple[Tensor, Tensor]:
         """Set points [episodes, slots] in metres (starting at 0) and force noise [episodes, slots, 1] in newtons."""
@@ -131,8 +138,9 @@ def collect(
         overwrite: replace the data set that is there.
         workers: processes that render, or "ray" for a Ray cluster.
     """
-    if not splits or min(split.episodes for split in splits.values()) < 1 or slots < 1:
-        raise ValueError("A data set needs at least one split, and in it at least one episode of at least one slot.")
+    at_least(1, slots=slots, **{f"splits.{name}.episodes": split.episodes for name, split in splits.items()})
+    if not splits or not all(name.isidentifier() for name in splits):
+        raise ValueError(f"splits is {splits}; a data set needs at least one, and their names become folders.")
     folder = Path(path)
     with exclusive(folder):
         if folder.exists() and not overwrite:

@@ -9,6 +9,7 @@ import lightning
 from tensordict import TensorDictBase
 from torch.utils.data import DataLoader
 
+from tsjepa.checks import at_least
 from tsjepa.data.checks import check_split
 from tsjepa.data.storage import METADATA, open_split, read_metadata
 from tsjepa.data.windows import WindowDataset, WindowSampler
@@ -47,6 +48,14 @@ class Trajectories(lightning.LightningDataModule):
         seed: int = 0,
     ) -> None:
         super().__init__()
+        at_least(
+            1, frame_stack=frame_stack, frame_spacing=frame_spacing, stacks=stacks, frames_per_batch=frames_per_batch
+        )
+        at_least(1, **{f"steps[{index}]": step for index, step in enumerate(steps)})
+        if not steps:
+            raise ValueError("steps is empty; give at least one, such as [1].")
+        if episodes is not None:
+            at_least(1, episodes=episodes)
         if frames_per_batch % stacks:
             raise ValueError(f"frames_per_batch = {frames_per_batch} is not a multiple of stacks = {stacks}.")
         self.path, self.recipe = Path(path), collect

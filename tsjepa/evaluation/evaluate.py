@@ -11,6 +11,8 @@ from typing import Literal
 import torch
 from tqdm import tqdm
 
+from tsjepa.checks import at_least, within
+from tsjepa.data.storage import read_metadata
 from tsjepa.evaluation.closed_loop import ONCE, SemanticPolicy, Starts, run, true_state_policy
 from tsjepa.evaluation.codec import embedding_codec
 from tsjepa.evaluation.metrics import Run, interval, normalized_score
@@ -55,7 +57,13 @@ def evaluate(
     from tsjepa.envs import Renderer
     from tsjepa.envs.expert import Expert, reference_lqr
 
+    at_least(2, seeds=seeds)
+    at_least(1, starts_per_seed=starts_per_seed, slots=slots)
+    at_least(0, process_noise_std=process_noise_std, **{f"periods[{i}]": period for i, period in enumerate(periods)})
+    within(0, 1, blend=blend)
     controller = tsjepa.load(model)
+    if data is not None:
+        read_metadata(data)  # a missing data set is said before the loops are run
     architecture = controller.architecture
     interval_s = architecture.sampling_interval
     renderer, expert = Renderer(), Expert(interval_s)

@@ -30,8 +30,7 @@ def search(
     Returns:
         Scores per seed, by scheduler and by I in ascending order.
     """
-    if list(sizes) != sorted(set(sizes)) or len(sizes) < 2 or sizes[0] < 1:
-        raise ValueError(f"search_over is {list(sizes)}; give at least two sizes of the fleet, ascending, from 1 up.")
+    check_sizes(sizes)
     curves = {}
     for scheduler in schedulers:
         curve: dict[int, list[float]] = {}
@@ -46,6 +45,12 @@ def search(
             good, bad = (size, bad) if mean(curve[size]) >= acceptable else (good, size)
         curves[scheduler] = dict(sorted(curve.items()))
     return curves
+
+
+def check_sizes(sizes: Sequence[int]) -> None:
+    """ValueError unless the sizes are two or more, ascending, from 1 up."""
+    if list(sizes) != sorted(set(sizes)) or len(sizes) < 2 or sizes[0] < 1:
+        raise ValueError(f"search_over is {list(sizes)}; give at least two sizes of the fleet, ascending, from 1 up.")
 
 
 def mean(values: Sequence[float]) -> float:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from tsjepa.checks import at_least, within
 from tsjepa.evaluation.closed_loop import Starts
-from tsjepa.network import Deployment, GilbertElliott, IidLoss
+from tsjepa.network import Deployment, GilbertElliott, IidLoss, units_per_slot
 
 
 @dataclass(frozen=True)
@@ -17,6 +18,7 @@ class Radio:
             payload and channel need (paper-notes, decision 16).
         payload_bits: bits that the scheduler reserves for an update where ``resource_blocks`` is None; None takes
             them from the codec, which is possible unless the codec's packets vary in length.
+        bandwidth_mhz: where ``resource_blocks`` is None: of 20 MHz, whose 106 resource blocks shrink in proportion.
         codec: of what is sent, see :func:`tsjepa.network.codecs.make_codec`; a frame codec sends frames and leaves
             the encoder to the controller.
         snr_target_db: mean SNR that power control gives every device; None transmits at ``tx_power_dbm``.
@@ -32,6 +34,7 @@ class Radio:
 
     resource_blocks: int | None = 10
     payload_bits: int | None = None
+    bandwidth_mhz: float = 20.0
     codec: str = "fp32"
     snr_target_db: float | None = 10.0
     tx_power_dbm: float = 23.0
@@ -42,6 +45,19 @@ class Radio:
     deployment: Deployment = field(default_factory=Deployment)
     loss: IidLoss | GilbertElliott | None = None
     lossless: bool = False
+
+    def __post_init__(self) -> None:
+        at_least(0, max_doppler_hz=self.max_doppler_hz)
+        within(-200, 200, tx_power_dbm=self.tx_power_dbm, snr_threshold_db=self.snr_threshold_db)
+        if self.snr_target_db is not None:
+            within(-200, 200, snr_target_db=self.snr_target_db)
+        for name in ("resource_blocks", "payload_bits"):
+            if getattr(self, name) is not None:
+                at_least(1, **{name: getattr(self, name)})
+
+    def units(self, sampling_interval: float) -> int:
+        """Resource units in a slot, at least 1."""
+        return max(1, int(units_per_slot(sampling_interval) * self.bandwidth_mhz / 20.0))
 
 
 @dataclass(frozen=True)
@@ -59,6 +75,11 @@ class Plants:
     sampling_interval: float = 0.02
     process_noise_std: float = 0.008
     frame_history: int = 2
+
+    def __post_init__(self) -> None:
+        at_least(1, slots=self.slots, frame_history=self.frame_history)
+        at_least(0, process_noise_std=self.process_noise_std)
+        within(1e-6, 10, sampling_interval=self.sampling_interval)
 
     def starts(self, seed: int, count: int) -> Starts:
         """Starts of the devices 0 .. count - 1; device i is the same plant whatever ``count`` is."""

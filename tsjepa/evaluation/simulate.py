@@ -59,6 +59,8 @@ def simulate(
         raise ValueError("Nothing to do: give num_devices, search_over, or both.")
     if seeds < 2:
         raise ValueError(f"seeds is {seeds}; an interval needs at least 2.")
+    if search_over:
+        fleet_search.check_sizes(search_over)
     if isinstance(schedulers, str) or not schedulers:
         raise ValueError("schedulers is a list of at least one name, such as [channel_aware, round_robin].")
     for scheduler in schedulers:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from torch import Tensor, nn
 
+from tsjepa.checks import at_least, within
+
 COMMAND_LIMIT = 20.0  # newtons; u_max = -u_min in the paper
 
 
@@ -20,6 +22,8 @@ class Actor(nn.Module):
         self, embedding_dim: int = 256, hidden_dims: tuple[int, int] = (1024, 256), dropout: float = 0.2
     ) -> None:
         super().__init__()
+        at_least(1, embedding_dim=embedding_dim, **{f"hidden_dims[{i}]": width for i, width in enumerate(hidden_dims)})
+        within(0, 1, dropout=dropout)
         self.hidden_dims = tuple(hidden_dims)
         first, second = hidden_dims
         self.scale = embedding_dim**0.5

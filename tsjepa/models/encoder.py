@@ -6,6 +6,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from tsjepa.checks import at_least
+
 # ImageNet statistics, as the paper's "Normalization" step prints them.
 PIXEL_MEAN = (0.485, 0.456, 0.406)
 PIXEL_STD = (0.229, 0.224, 0.225)
@@ -78,6 +80,12 @@ class Encoder(nn.Module):
         width: int = 128,
     ) -> None:
         super().__init__()
+        at_least(1, frame_stack=frame_stack, embedding_dim=embedding_dim)
+        if len(widths) != 3 or min(widths) < 1 or height % 32 or width % 32:
+            raise ValueError(
+                f"The encoder takes three widths of at least 1 and a frame whose sides are multiples of 32, not "
+                f"{list(widths)} and {height} x {width}."
+            )
         self.frame_shape = (frame_stack, height, width, 3)
         self.embedding_dim, self.widths = embedding_dim, tuple(widths)
         first, second, third = widths

@@ -6,6 +6,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from tsjepa.checks import at_least
+
 
 class Predictor(nn.Module):
     """One step of embedding dynamics: a residual MLP conditioned on the command, brought back to unit length.
@@ -22,6 +24,7 @@ class Predictor(nn.Module):
 
     def __init__(self, embedding_dim: int = 256, hidden_dim: int = 1024, residual: bool = True) -> None:
         super().__init__()
+        at_least(1, embedding_dim=embedding_dim, hidden_dim=hidden_dim)
         self.residual = residual
         self.scale = embedding_dim**0.5
         self.hidden = nn.Linear(embedding_dim + 1, hidden_dim)

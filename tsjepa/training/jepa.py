@@ -9,6 +9,7 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
+from tsjepa.checks import within
 from tsjepa.data.augmentation import Augmentation
 from tsjepa.models import Architecture, Encoder, Predictor, SemanticController
 from tsjepa.parallel import gather
@@ -54,6 +55,12 @@ class TSJEPA(lightning.LightningModule):
         seed: int = 0,
     ) -> None:
         super().__init__()
+        within(0, 1, ema_decay=ema_decay)
+        if predictor.output.out_features != encoder.embedding_dim:
+            raise ValueError(
+                f"The encoder's embedding_dim is {encoder.embedding_dim}, the predictor's is "
+                f"{predictor.output.out_features}: make them equal."
+            )
         if pretrained is not None:
             start_from(pretrained, encoder=encoder, predictor=predictor)
         self.encoder, self.predictor, self.augmentation = encoder, predictor, augmentation
@@ -70,7 +77,13 @@ class TSJEPA(lightning.LightningModule):
         return self
 
     def on_fit_start(self) -> None:
-        commands = self.trainer.datamodule.split("train")["action"][:, :-1]
+        data = self.trainer.datamodule
+        if data.stacks < 2 or data.frame_stack != self.encoder.frame_shape[0]:
+            raise ValueError(
+                f"The data's windows have {data.stacks} stacks of {data.frame_stack} frames; TS-JEPA needs at least 2 "
+                f"stacks, and its encoder takes {self.encoder.frame_shape[0]} frames."
+            )
+        commands = data.split("train")["action"][:, :-1]
         self.predictor.command_mean.copy_(commands.mean())
         self.predictor.command_std.copy_(commands.std())
 
