@@ -16,7 +16,7 @@ from tsjepa.evaluation.fleet_codecs import FRAME_CODECS, update_bits
 from tsjepa.evaluation.fleet_settings import Plants, Radio
 from tsjepa.evaluation.metrics import Run
 from tsjepa.models import SemanticController
-from tsjepa.network import SCHEDULERS, units_per_slot
+from tsjepa.network import SCHEDULERS
 from tsjepa.network.transforms import (
     Camera,
     Channel,
@@ -89,7 +89,8 @@ def build_fleet(
         plants, radio: the experiment.
         codec: from :func:`tsjepa.evaluation.fleet_codecs.fitted_codec`.
         controller: "hold" (the expert's command on the received state, held between updates), "linear" (the expert on
-            the received state, predicted by the linearised plant between updates), or a TS-JEPA model.
+            the received state, predicted by the linearised plant between updates), or a model; one without a predictor
+            (the supervised baseline) has its command held between updates.
 
     Returns:
         The environment, and policy(tensordict) -> action [I, 1].
@@ -114,7 +115,7 @@ def build_fleet(
             partial(SCHEDULERS["random"], seed=seed) if scheduler == "random" else scheduler,
             resource_blocks=radio.resource_blocks,
             payload_bits=bits,
-            sampling_interval=plants.sampling_interval,
+            units=None if bits is None else radio.units(plants.sampling_interval),
             csi=radio.csi,
             csi_delay=radio.csi_delay,
             snr_threshold_db=radio.snr_threshold_db,
@@ -143,6 +144,8 @@ def _controller(controller: str | SemanticController, plants: Plants, in_key: st
         linear = linear_model(*linearised_plant(plants.sampling_interval))
         # the belief about a device that is never served grows without bound; it must stay a number
         estimator, law = Estimator(lambda state, force: linear(state, force).clamp(-1e3, 1e3)), expert
+    elif isinstance(controller, SemanticController) and not controller.architecture.has_predictor:
+        return HoldCommand(), lambda tensordict: controller.act(tensordict[in_key])
     elif isinstance(controller, SemanticController):
         estimator, law = Estimator(controller.predict, in_key), controller.act
     else:
@@ -189,7 +192,7 @@ def run_fleet(
         delivered=record["delivered"],
         age=record["age_of_information"],
         payload_bits=record["payload_bits"],
-        capacity=units_per_slot(plants.sampling_interval) if in_units else radio.resource_blocks,
+        capacity=radio.units(plants.sampling_interval) if in_units else radio.resource_blocks,
         used=(record["resource_units"] if in_units else record["scheduled"]).sum(-1),
     )
 

@@ -19,7 +19,10 @@ FIGURES = (
     "frame_change",
     "one_device",
     "dimension",
+    "devices_encoding",
+    "devices_prediction",
     "bits",
+    "schedulers",
 )
 
 

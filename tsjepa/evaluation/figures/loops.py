@@ -120,6 +120,14 @@ def thinned(curve: Tensor) -> list[float]:
     return curve[: len(curve) // CURVE_STEP * CURVE_STEP].view(-1, CURVE_STEP).mean(1).tolist()
 
 
+def stacks(model, renderer, observation) -> Tensor:
+    """Frames uint8 [N, kappa, H, W, 3] that a model stacks; the plants may keep more than it needs."""
+    qpos = observation["qpos"][:, -model.frame_history :: model.architecture.frame_spacing]
+    colors = observation["colors"].repeat_interleave(qpos.shape[1], 0)
+    frames = renderer.render(qpos.flatten(0, 1).double().numpy(), colors.numpy())
+    return torch.from_numpy(frames).unflatten(0, qpos.shape[:2])
+
+
 class RemotePolicy:
     """The controller at the far end of a link that loses nothing: an update every so many slots.
 
@@ -160,13 +168,6 @@ class RemotePolicy:
             packets = self.codec.encode(observation["state"])
             self.bits += int(payload_bits(packets).sum())
             return self.expert(self.codec.decode(packets))
-        self.belief, bits = self.sender.send(self._frames(observation), fresh)
+        self.belief, bits = self.sender.send(stacks(self.model, self.renderer, observation), fresh)
         self.bits += int(bits.sum())
         return self.model.act(self.belief)
-
-    def _frames(self, observation) -> Tensor:
-        """Stacks [N, kappa, H, W, 3]; the plants keep more frames than some controllers need."""
-        qpos = observation["qpos"][:, -self.model.frame_history :: self.model.architecture.frame_spacing]
-        colors = observation["colors"].repeat_interleave(qpos.shape[1], 0)
-        frames = self.renderer.render(qpos.flatten(0, 1).double().numpy(), colors.numpy())
-        return torch.from_numpy(frames).unflatten(0, qpos.shape[:2])

@@ -220,7 +220,8 @@ def _sent_once(of) -> dict[str, Verdict]:
             our_score > their_score + 0.05 and our_score >= 0.74,
             f"normalised score {plots.text(ours, 'score')}, {best_score} {plots.text(rivals[best_score], 'score')}",
             "the plant is unstable (an error grows 50-fold in a second): sent once, nobody keeps the pole up for 2 s, "
-            "and a prediction cannot beat an optimal policy that hears everything; at 1 ms the paper's horizon is 0.1 s",
+            "and a prediction cannot beat an optimal policy that hears everything; at 1 ms the paper's horizon is 0.1 "
+            "s",
             partly=our_score > their_score,
         ),
     }
