@@ -31,7 +31,7 @@ from safetensors.torch import load_file
 from tsjepa import cli, zoo
 from tsjepa.data.storage import read_metadata
 from tsjepa.envs import FleetEnv  # noqa: F401 - imported before the fork; it makes no GL context
-from tsjepa.evaluation import evaluate, simulate  # noqa: F401
+from tsjepa.evaluation import evaluate, export, simulate  # noqa: F401
 from tsjepa.evaluation.provenance import provenance
 from tsjepa.files import write_text
 from tsjepa.models import Architecture, SemanticController
@@ -100,10 +100,9 @@ def two_models() -> None:
     for seed, folder in ((1, "checkpoints/tiny"), (2, "runs/actor/model")):
         torch.manual_seed(seed)
         zoo.save(SemanticController(Architecture(**SIZES)), folder)
-    figures = {"model": "runs/actor/model", "closed_loop": [], "starts": "2 x 2", "optimal_policy": "expert"}
-    figures["made_by"] = {"command": "tsjepa evaluate", "commit": "none", "date": "today"}
-    Path("runs/evaluation").mkdir()
-    Path("runs/evaluation/evaluation.json").write_text(json.dumps(figures))
+    figures = {"model_sha256": zoo.load("runs/actor/model").entry_sha256, "closed_loop": []}
+    Path("runs/actor/evaluation").mkdir()
+    Path("runs/actor/evaluation/evaluation.json").write_text(json.dumps(figures))
 
 
 def collected() -> None:
@@ -114,7 +113,7 @@ CASES = {
     "collect": Case(["collect", "--config", DATA], data_set),
     "fit": Case(["fit", "--config", JEPA, "--ckpt_path", "last"], run, collected),
     "sweep": Case(["simulate", "--config", SEARCH], search),
-    "export": Case(["export", "runs/actor/model", "tiny"], entry, two_models),
+    "export": Case(["export", "runs/actor", "tiny"], entry, two_models),
 }
 
 

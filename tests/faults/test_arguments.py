@@ -228,7 +228,7 @@ WRONG = {
         ("ckpt_path", "recipes/data.yaml"),
     ],
 }
-EXPORTS = [("nobody", "name"), ("runs/jepa/model", "name"), ("runs/jepa/model", "../name"), ("", "")]
+EXPORTS = [("nobody", "name"), ("runs/jepa", "../name"), ("runs/jepa", ""), ("", "name"), ("recipes", "name")]
 
 
 @pytest.mark.parametrize(
@@ -240,9 +240,9 @@ def test_values_that_cannot_be(work, tmp_path, command, option, value):
     refused(command, "--config", RECIPES[command], *where, f"--{option}={value}")
 
 
-@pytest.mark.parametrize(("model", "name"), EXPORTS)
-def test_exports_that_cannot_be(work, model, name):
-    refused("export", "--model", model, "--name", name)
+@pytest.mark.parametrize(("run", "name"), EXPORTS)
+def test_exports_that_cannot_be(work, run, name):
+    refused("export", "--run", run, "--name", name)
 
 
 def test_all_commands_are_tried():

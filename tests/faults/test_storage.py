@@ -21,7 +21,7 @@ from tsjepa.files import exclusive, replace_folder, write_text
 from tsjepa.journal import Journal
 from tsjepa.training.resume import AtomicCheckpointIO
 
-EXPORT = ("export", f"{RUN}/model", "tiny")
+EXPORT = ("export", str(RUN), "tiny")
 
 
 @pytest.fixture
@@ -75,10 +75,9 @@ def seal(mount):
 @pytest.fixture
 def evaluation(home):
     """An evaluation of the model that the tiny fit left."""
-    figures = {"model": f"{RUN}/model", "closed_loop": [], "starts": "none", "optimal_policy": "expert"}
-    figures["made_by"] = {"command": "tsjepa evaluate", "commit": "none", "date": "today"}
-    (home / "runs" / "evaluation").mkdir()
-    (home / "runs" / "evaluation" / "evaluation.json").write_text(json.dumps(figures))
+    figures = {"model_sha256": zoo.load(home / RUN / "model").entry_sha256, "closed_loop": []}
+    (home / RUN / "evaluation").mkdir()
+    (home / RUN / "evaluation" / "evaluation.json").write_text(json.dumps(figures))
 
 
 def contents(folder: Path) -> dict[str, bytes]:
