@@ -2,6 +2,8 @@
 
 import ast
 import importlib.metadata
+import inspect
+import json
 import os
 import shutil
 import subprocess
@@ -27,8 +29,8 @@ EXTRAS = {
     if name != "test"
     for pin in pins
 }
-TARGETS = ["setup", "train-jepa", "train-actor", "data", "evaluate", "test", "lint", "help"]
-TARGETS += ["figures", "figures-check", "report"]
+TARGETS = ["setup", "train-jepa", "train-actor", "data", "evaluate", "demo", "test", "lint", "help"]
+TARGETS += ["figures", "figures-check", "report", "faults", "audit"]
 MODULE_NAMES = {
     "cv2": "opencv-python-headless",
     "dm_env": "dm-control",
@@ -80,17 +82,59 @@ def test_commands_are_ours(command):
     assert "from tsjepa.cli import" in script.read_text()
 
 
-def test_wheel_holds_code_model_recipes_and_zoo(tmp_path):
-    build = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(tmp_path)]
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("wheel")
+    build = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(folder)]
     subprocess.run(build, cwd=ROOT, check=True, capture_output=True)
-    (wheel,) = tmp_path.glob("*.whl")
-    names = set(zipfile.ZipFile(wheel).namelist())
+    (path,) = folder.glob("*.whl")
+    return zipfile.ZipFile(path)
+
+
+def test_wheel_holds_code_model_recipes_and_zoo(wheel):
+    names = set(wheel.namelist())
     tracked = subprocess.run(
         ["git", "ls-files", "tsjepa", "recipes", "checkpoints"], cwd=ROOT, check=True, capture_output=True, text=True
     ).stdout.split()
     assert "tsjepa/envs/cartpole.xml" in names
     assert {name if name.startswith("tsjepa/") else f"tsjepa/{name}" for name in tracked} <= names
     assert not any(name.startswith("tests/") for name in names)
+
+
+def embeddings() -> dict[str, list[float]]:
+    """The first numbers of what every entry of the zoo makes of the same noise, by the entry's name."""
+    import torch
+
+    import tsjepa
+    from tsjepa import zoo
+
+    result = {}
+    for name in zoo.names():
+        model = tsjepa.load(name)
+        shape = (1, model.architecture.frame_stack, 64, 128, 3)
+        noise = torch.randint(0, 256, shape, dtype=torch.uint8, generator=torch.Generator().manual_seed(0))
+        result[name] = model.encode(noise)[0, :8].tolist()
+    return result
+
+
+def test_every_entry_loads_from_the_wheel_alone(wheel, tmp_path):
+    wheel.extractall(tmp_path / "installed")
+    (tmp_path / "elsewhere").mkdir()
+    program = f"{inspect.getsource(embeddings)}\nimport json, tsjepa\nprint(json.dumps([tsjepa.__file__, embeddings()]))"
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        cwd=tmp_path / "elsewhere",
+        env=os.environ | {"PYTHONPATH": str(tmp_path / "installed")},
+        check=True,
+        capture_output=True,
+        text=True,
+    )
+    loaded_from, found = json.loads(done.stdout)
+    assert Path(loaded_from) == tmp_path / "installed" / "tsjepa" / "__init__.py"
+    expected = embeddings()
+    assert set(found) == set(expected) >= {"tsjepa-cartpole"}
+    for name, numbers in expected.items():
+        assert found[name] == pytest.approx(numbers, abs=1e-6)
 
 
 def make(*arguments: str) -> subprocess.CompletedProcess:

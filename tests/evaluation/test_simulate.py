@@ -60,7 +60,7 @@ def test_a_search_from_its_recipe(tmp_path, capsys):
     ],
 )
 def test_what_is_wrong_is_said_in_one_sentence(tmp_path, capsys, options, named):
-    assert simulate(tmp_path, "fleet.yaml", "--num_devices=3", *options) == 1
+    assert simulate(tmp_path, "fleet.yaml", "--num_devices=3", *options) == 2
     complaint = capsys.readouterr().err.strip().splitlines()[-1]
     assert named in complaint
     assert "Traceback" not in complaint
