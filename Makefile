@@ -15,7 +15,7 @@ EVALUATION_RECIPE ?= recipes/evaluate.yaml
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.setup-done
 
-.PHONY: help setup train-jepa train-actor data evaluate figures figures-check report test lint faults audit
+.PHONY: help setup train-jepa train-actor data evaluate demo figures figures-check report test lint faults audit
 
 help: ## print this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "%-12s %s\n", $$1, $$2}' Makefile
@@ -53,6 +53,9 @@ data: setup ## collect the data sets from dm-control pixels
 
 evaluate: setup ## close the loop on held-out starts and print the table
 	$(BIN)/tsjepa evaluate --config $(EVALUATION_RECIPE)
+
+demo: setup ## a pretrained model controls cart-poles over a lossy link: a table, and a film in runs/demo
+	$(BIN)/tsjepa simulate --config recipes/demo.yaml
 
 figures: setup ## redraw every figure of the paper from the recorded results
 	$(BIN)/tsjepa figures

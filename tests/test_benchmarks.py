@@ -40,3 +40,9 @@ def test_memory(tmp_path):
     result = run("memory.py", tmp_path, "--devices", "200", "--slots", "1000")
     assert result["episodes"] == 2000
     assert result["growth_percent"] < 2
+
+
+def test_loading(tmp_path):
+    result = run("loading.py", tmp_path, "--rounds", "1", "--entries", "tsjepa-cartpole")
+    assert set(result["seconds_to_load"]) == {"tsjepa-cartpole"}
+    assert result["seconds_to_load"]["tsjepa-cartpole"]["min"] > 0

@@ -120,7 +120,9 @@ def embeddings() -> dict[str, list[float]]:
 def test_every_entry_loads_from_the_wheel_alone(wheel, tmp_path):
     wheel.extractall(tmp_path / "installed")
     (tmp_path / "elsewhere").mkdir()
-    program = f"{inspect.getsource(embeddings)}\nimport json, tsjepa\nprint(json.dumps([tsjepa.__file__, embeddings()]))"
+    program = (
+        f"{inspect.getsource(embeddings)}\nimport json, tsjepa\nprint(json.dumps([tsjepa.__file__, embeddings()]))"
+    )
     done = subprocess.run(
         [sys.executable, "-c", program],
         cwd=tmp_path / "elsewhere",

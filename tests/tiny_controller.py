@@ -5,7 +5,7 @@ import torch
 from tsjepa.models import Architecture, SemanticController
 
 
-def tiny(seed: int = 0) -> SemanticController:
+def tiny(seed: int = 0, sampling_interval: float = 0.01) -> SemanticController:
     """Random weights and statistics; the decoder is taken for trained."""
     torch.manual_seed(seed)
     model = SemanticController(
@@ -16,7 +16,7 @@ def tiny(seed: int = 0) -> SemanticController:
             predictor_hidden_dim=16,
             predictor_residual=False,
             actor_hidden_dims=(16, 8),
-            sampling_interval=0.01,
+            sampling_interval=sampling_interval,
         )
     )
     with torch.no_grad():
