@@ -15,10 +15,10 @@ EVALUATION_RECIPE ?= recipes/evaluate.yaml
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.setup-done
 
-.PHONY: help setup train-jepa train-actor data evaluate demo figures figures-check report test lint faults audit
+.PHONY: help setup train-jepa train-actor train-supervised train-autoencoder data evaluate demo figures figures-check report test lint faults audit
 
 help: ## print this list
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "%-12s %s\n", $$1, $$2}' Makefile
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "%-18s %s\n", $$1, $$2}' Makefile
 
 setup: $(STAMP) ## create the environment in .venv and install everything into it
 	@grep -q tsjepa $(BIN)/lightning || $(BIN)/python -m pip install -q --no-deps -e .
@@ -47,6 +47,16 @@ train-jepa: setup ## collect the data, train TS-JEPA and the actor, close the lo
 
 train-actor: setup ## train the semantic actor on the embeddings of a trained TS-JEPA
 	$(BIN)/tsjepa fit --config $(ACTOR_RECIPE)
+
+train-supervised: setup ## train the supervised baselines, of 2 and of 4 frames, and close the loop with each
+	$(BIN)/tsjepa fit --config recipes/supervised.yaml
+	$(BIN)/tsjepa evaluate --config $(EVALUATION_RECIPE) --model runs/supervised/model --output runs/supervised/evaluation
+	$(BIN)/tsjepa fit --config recipes/supervised-k4.yaml
+	$(BIN)/tsjepa evaluate --config $(EVALUATION_RECIPE) --model runs/supervised-k4/model --output runs/supervised-k4/evaluation
+
+train-autoencoder: setup ## train the generative baseline and close the loop with it
+	$(BIN)/tsjepa fit --config recipes/autoencoder.yaml
+	$(BIN)/tsjepa evaluate --config $(EVALUATION_RECIPE) --model runs/autoencoder/model --output runs/autoencoder/evaluation
 
 data: setup ## collect the data sets from dm-control pixels
 	$(BIN)/tsjepa collect --config $(DATA_RECIPE)
