@@ -34,6 +34,7 @@ COMMANDS = {
     "figures": ("tsjepa.evaluation.figures.command:figures", "redraw the paper's figures, or run their sweeps"),
     "report": ("tsjepa.evaluation.figures.report:report", "compare every figure with what the paper claims"),
     "export": ("tsjepa.evaluation.export:export", "make a trained model an entry of the zoo"),
+    "deploy": ("tsjepa.evaluation.deploy:deploy", "write a model as ONNX or torch.export graphs"),
     "zoo": ("tsjepa.evaluation.zoo_report:zoo", "list the pretrained models, or verify them: tsjepa zoo verify"),
     "doctor": ("tsjepa.doctor:doctor", "tell what this machine offers and what to mend"),
 }

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from torch import Tensor, nn
 
-from tsjepa.models import SemanticController
 from tsjepa.network.codecs import make_codec
 
 
@@ -37,5 +36,4 @@ def embedding_codec(name: str, model: nn.Module) -> nn.Module:
             )
         codec.low.copy_(model.code_low)
         codec.high.copy_(model.code_high)
-    # only embeddings of TS-JEPA lie on the unit sphere
-    return UnitNorm(codec) if isinstance(model, SemanticController) else codec
+    return UnitNorm(codec)
