@@ -17,8 +17,11 @@ from types import ModuleType
 
 FIGURES = (
     "frame_change",
+    "tsne",
     "one_device",
     "dimension",
+    "dataset_size",
+    "target_snr",
     "devices_encoding",
     "devices_prediction",
     "bits",

@@ -27,7 +27,8 @@ def loop_rows(point: dict) -> list[dict]:
     Args:
         point: ``model`` (an entry of the zoo, or None for the expert on the true state), ``sends``, ``codec``,
             ``quality`` (see :func:`make_sender`), ``update_every`` (slots; 0 is once), ``between`` ("predict", "hold"
-            or "zero"), ``seeds``, ``starts``, ``slots``, ``process_noise_std``.
+            or "zero"), ``seeds``, ``starts``, ``slots``, ``process_noise_std``, and where given ``loss``, the
+            probability that an update is lost.
 
     Returns:
         ``score`` (normalised), ``failed`` (share), ``cost`` (quadratic), ``bits_per_slot``, and the curve ``in_box``,
@@ -35,7 +36,7 @@ def loop_rows(point: dict) -> list[dict]:
     """
     rows = []
     for seed in range(point["seeds"]):
-        starts, policy = starts_of(point, seed), RemotePolicy(point)
+        starts, policy = starts_of(point, seed), RemotePolicy(point, seed)
         loop = run(starts, policy)
         rows.append(
             {
@@ -62,7 +63,7 @@ def command_rows(point: dict) -> list[dict]:
     """
     rows = []
     for seed in range(point["seeds"]):
-        error = command_error(starts_of(point, seed), RemotePolicy(point))
+        error = command_error(starts_of(point, seed), RemotePolicy(point, seed))
         rows.append({"seed": seed, "nmae": float(error.mean()), "nmae_by_slot": thinned(error)})
     return rows
 
@@ -92,7 +93,13 @@ def optimal_scores(*starts) -> Tensor:
     from tsjepa.envs.expert import reference_lqr
 
     starts = Starts(*starts)
-    return run(starts, true_state_policy(reference_lqr(starts.sampling_interval), 1)).raw_score()
+    scores = run(starts, true_state_policy(reference_lqr(starts.sampling_interval), 1)).raw_score()
+    if not scores.any():
+        raise ValueError(
+            f"None of {starts.count} starts is in the box within {starts.slots} slots even with perfect feedback, so "
+            "scores cannot be normalised; raise starts or slots."
+        )
+    return scores
 
 
 def command_error(starts: Starts, policy: Callable) -> Tensor:
@@ -129,23 +136,24 @@ def stacks(model, renderer, observation) -> Tensor:
 
 
 class RemotePolicy:
-    """The controller at the far end of a link that loses nothing: an update every so many slots.
+    """The controller at the far end of a link: an update every so many slots, and what it does in between.
 
     ``bits`` counts what was sent, over all starts.
 
     Args:
         point: see :func:`loop_rows`.
+        seed: of the losses.
     """
 
-    def __init__(self, point: dict) -> None:
+    def __init__(self, point: dict, seed: int) -> None:
         from tsjepa.envs import Renderer
         from tsjepa.envs.expert import Expert
 
         self.model = model = None if point["model"] is None else load(point["model"])
-        self.period, self.between = point["update_every"], point["between"]
+        self.period, self.between, self.loss = point["update_every"], point["between"], point.get("loss", 0.0)
         if self.between not in ("predict", "hold", "zero"):
             raise ValueError(f"Between updates a controller cannot {self.between!r}; choose predict, hold or zero.")
-        self.bits = 0
+        self.bits, self.draws = 0, torch.Generator().manual_seed(seed)
         if model is None:
             self.codec, self.expert = fitted_codec(point["codec"], Plants(), None), Expert(SAMPLING_INTERVAL)
         else:
@@ -154,20 +162,28 @@ class RemotePolicy:
 
     @torch.no_grad()
     def __call__(self, slot: int, observation) -> Tensor:
-        if is_update(slot, self.period):
-            self.command = self._received(observation, slot == 0)
+        count = len(observation["state"])
+        if slot == 0:
+            # a controller that has heard nothing yet sends no force
+            self.command, self.informed = torch.zeros(count, 1), torch.zeros(count, dtype=torch.bool)
         elif self.between == "predict":
             self.belief = self.model.predict(self.belief, self.command)
-            self.command = self.model.act(self.belief)
+            self.command = torch.where(self.informed[:, None], self.model.act(self.belief), 0.0)
         elif self.between == "zero":
-            self.command = torch.zeros_like(self.command)
+            self.command = torch.zeros(count, 1)
+        if is_update(slot, self.period):
+            arrived = torch.rand(count, generator=self.draws) >= self.loss
+            self._receive(observation, arrived, slot == 0)
         return self.command
 
-    def _received(self, observation, fresh: bool) -> Tensor:
+    def _receive(self, observation, arrived: Tensor, fresh: bool) -> None:
         if self.model is None:
             packets = self.codec.encode(observation["state"])
-            self.bits += int(payload_bits(packets).sum())
-            return self.expert(self.codec.decode(packets))
-        self.belief, bits = self.sender.send(stacks(self.model, self.renderer, observation), fresh)
+            bits, command = payload_bits(packets), self.expert(self.codec.decode(packets))
+        else:
+            received, bits = self.sender.send(stacks(self.model, self.renderer, observation), fresh)
+            self.belief = received if fresh else torch.where(arrived[:, None], received, self.belief)
+            command = self.model.act(received)
+        self.command = torch.where(arrived[:, None], command, self.command)
+        self.informed |= arrived
         self.bits += int(bits.sum())
-        return self.model.act(self.belief)

@@ -1,0 +1,101 @@
+"""Training data-set size, one device (paper fig_ts-jepa_pred_training_size)."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from pathlib import Path
+
+from tsjepa.evaluation.figures import plots
+from tsjepa.evaluation.figures.claims import Verdict, judge
+from tsjepa.evaluation.figures.loops import CURVE_STEP
+from tsjepa.evaluation.figures.store import flat
+from tsjepa.evaluation.figures.training import ONCE, trained_rows
+
+TITLE = "Training data-set size"
+CAPTION = (
+    "TS-JEPA and its actor trained by the shipped recipes with a fraction of their steps, the same for every point, on "
+    "the first 25, 50, 100 or all 180 training trajectories (the paper's 200 less 20 for early stopping); one training "
+    "seed, on a CPU."
+)
+MEASURES = ("score", "nmae")
+LOOPS = (1, 5, 10, ONCE)
+
+
+def points(train_episodes: list[int], training_seeds: list[int], budget: dict, sizes: dict) -> list[dict]:
+    """The sweep.
+
+    Args:
+        train_episodes: trajectories that TS-JEPA and its predictor are trained on.
+        training_seeds: of the weights and batches.
+        budget: see :func:`trained_rows`.
+        sizes: ``seeds``, ``starts``, ``slots``, ``process_noise_std``.
+    """
+    return [
+        {"train_episodes": episodes, "training_seed": seed} | budget | sizes
+        for episodes in train_episodes
+        for seed in training_seeds
+    ]
+
+
+def evaluate(point: dict) -> list[dict]:
+    """Trains, then closes the loop with an update in every slot, every 5, every 10, and once."""
+    return trained_rows(point, [{"update_every": period} for period in LOOPS])
+
+
+def draw(records: list[dict], path: str | Path) -> None:
+    """Command error, bits, score and the horizon of one update."""
+    rows = flat(records)
+    sizes = sorted(plots.distinct(rows, "train_episodes"))
+    figure, axes = plots.canvas(columns=4, width=4)
+    fresh = [(size, plots.select(rows, train_episodes=size, update_every=1)) for size in sizes]
+    for axis, measure, name in ((axes[0], "nmae", "command NMAE"), (axes[1], "bits_per_slot", "bits per slot (fp32)")):
+        plots.errorbar(axis, fresh, measure, color=plots.PALETTE[0])
+        axis.set(ylabel=name)
+    for color, period in zip(plots.PALETTE, LOOPS[:-1], strict=False):
+        groups = [(size, plots.select(rows, train_episodes=size, update_every=period)) for size in sizes]
+        plots.errorbar(axes[2], groups, "score", color=color, label=f"every {period}")
+    axes[2].set(ylabel="normalised score")
+    axes[2].legend(fontsize=8, title="slots")
+    for axis in axes[:3]:
+        axis.set(xlabel="training trajectories")
+    for color, size in zip(plots.PALETTE, sizes, strict=False):
+        curve = plots.curve(plots.select(rows, train_episodes=size, update_every=ONCE), "in_box")
+        axes[3].plot([CURVE_STEP * (i + 0.5) for i in range(len(curve))], curve, color=color, label=f"{size}")
+    axes[3].set(xlabel="slots since the only update", ylabel="share of starts in the box")
+    axes[3].legend(fontsize=8, title="trajectories")
+    plots.save(figure, path)
+
+
+def verdicts(records: list[dict]) -> dict[str, Verdict]:
+    """Trends from the smallest to the largest data set."""
+    rows = flat(records)
+    sizes = sorted(plots.distinct(rows, "train_episodes"))
+    if len(sizes) < 2:
+        return {}
+
+    def means(period: int, measure: str) -> list[float]:
+        return [plots.mean(plots.select(rows, train_episodes=size, update_every=period), measure) for size in sizes]
+
+    def listed(values: list[float], digits: int) -> str:
+        return ", ".join(f"{value:.{digits}f} ({size})" for size, value in zip(sizes, values, strict=True))
+
+    errors, bits, scores = means(1, "nmae"), means(1, "bits_per_slot"), means(10, "score")
+    return {
+        "data_nmae": judge(
+            all(first > second for first, second in pairwise(errors)),
+            f"command NMAE by trajectories: {listed(errors, 4)}",
+            "not at every step, with one training seed",
+            partly=errors[-1] < errors[0],
+        ),
+        "data_bits": judge(
+            bits[-1] > bits[0],
+            f"bits per slot by trajectories: {listed(bits, 0)}",
+            "an embedding of d numbers has the same number of bits whatever it was trained on",
+        ),
+        "data_score": judge(
+            all(first < second for first, second in pairwise(scores)),
+            f"normalised score with an update every 10 slots, by trajectories: {listed(scores, 3)}",
+            "not at every step, with one training seed",
+            partly=scores[-1] > scores[0],
+        ),
+    }
