@@ -21,14 +21,18 @@ from torch import nn
 
 from tsjepa import hub
 from tsjepa.files import exclusive, replace_folder
-from tsjepa.models import Architecture, SemanticController
+from tsjepa.models import Architecture, AutoencoderArchitecture, AutoencoderController, SemanticController
 
 # What config.yaml may name as its kind, and the class and sizes that rebuild it; without a kind it is the first.
-KINDS = {"tsjepa": (SemanticController, Architecture)}
+KINDS = {
+    "tsjepa": (SemanticController, Architecture),
+    "autoencoder": (AutoencoderController, AutoencoderArchitecture),
+}
 FILES = ("config.yaml", "model.safetensors", "metrics.json", "README.md", "manifest.json")
 CONFIG, WEIGHTS, METRICS, CARD, MANIFEST = FILES
 HASHED = (CONFIG, WEIGHTS, METRICS)
-OPTIONAL = ("decoder.", "code_")  # parts that an entry may lack; each says so when it is used
+# Beginnings of tensors that an entry may lack, all or none of them; what needs them says so when it is used.
+OPTIONAL = {"tsjepa": ("decoder.", "code_"), "autoencoder": ("code_",)}
 WEIGHT_DTYPES = {"float32": torch.float32, "float16": torch.float16}
 
 
@@ -117,7 +121,7 @@ def load(name_or_path: str | Path, sha256: str | None = None) -> nn.Module:
     config = yaml.safe_load((folder / CONFIG).read_text())
     model = _rebuild(config, folder / CONFIG)
     weights = load_file(folder / WEIGHTS)
-    lacking = tuple(part for part in OPTIONAL if not any(name.startswith(part) for name in weights))
+    lacking = tuple(part for part in OPTIONAL[_kind(model)] if not any(name.startswith(part) for name in weights))
     absent = {name: value for name, value in model.state_dict().items() if name.startswith(lacking)}
     try:
         model.load_state_dict(absent | weights)  # copies into float32
@@ -138,6 +142,14 @@ def _rebuild(config: dict, path: Path) -> nn.Module:
     if unknown:
         raise ValueError(f"{path} has settings that this version does not know: {', '.join(sorted(unknown))}.")
     return controller(architecture(**{n: tuple(v) if isinstance(v, list) else v for n, v in config.items()}))
+
+
+def _kind(model: nn.Module) -> str:
+    for kind, (controller, _) in KINDS.items():
+        if type(model) is controller:
+            return kind
+    known = ", ".join(controller.__name__ for controller, _ in KINDS.values())
+    raise TypeError(f"A {type(model).__name__} is no model of the zoo, which holds {known}.")
 
 
 def save(
@@ -161,10 +173,7 @@ def save(
     """
     if dtype not in WEIGHT_DTYPES:
         raise ValueError(f"Weights are stored as {' or '.join(WEIGHT_DTYPES)}, not as {dtype!r}.")
-    kind = next((kind for kind, (controller, _) in KINDS.items() if type(model) is controller), None)
-    if kind is None:
-        known = ", ".join(controller.__name__ for controller, _ in KINDS.values())
-        raise TypeError(f"A {type(model).__name__} is no model of the zoo, which holds {known}.")
+    kind = _kind(model)
     folder = Path(folder)
     with exclusive(folder):
         partial = folder.with_name(folder.name + ".partial")

@@ -3,8 +3,8 @@ import torch
 
 from tsjepa.models import Architecture, SemanticController
 from tsjepa.models.decoder import Decoder
-from tsjepa.models.encoder import patchify
-from tsjepa.training.decoder import fit_decoder, median_frame, reconstruction_loss
+from tsjepa.models.encoder import unpatchify
+from tsjepa.training.decoder import fit_decoder, look_around, reconstruction_loss
 
 D = 8
 
@@ -20,9 +20,16 @@ def squares():
     return torch.eye(D)[place], frames, background
 
 
-def test_the_background_is_the_frame_without_what_moves(squares):
+def test_the_background_is_the_frame_without_what_moves_and_contrast_is_where_it_moves(squares):
     _, frames, background = squares
-    torch.testing.assert_close(median_frame(frames), patchify(background[None, None])[0].float())
+    decoder = Decoder(D, frame_stack=2, channels=(16, 16, 8, 8))
+    look_around(decoder, frames, contrast_floor=5.0)
+    drawn = unpatchify(decoder.background[None])[0]
+    contrast = unpatchify(decoder.contrast[None])[0]
+    torch.testing.assert_close(drawn, background.float().expand(2, 64, 128, 3))
+    # column 3 is covered in one of the eight places
+    torch.testing.assert_close(contrast[:, 30, 3], ((255 - background[30, 3].float()) * 8**-0.5).expand(2, 3))
+    assert (contrast[:, :20] == 5).all()
 
 
 def test_the_decoder_learns_to_draw_what_the_embedding_tells_and_repeats_itself(squares):
@@ -30,7 +37,7 @@ def test_the_decoder_learns_to_draw_what_the_embedding_tells_and_repeats_itself(
     drawn = []
     for _ in range(2):
         torch.manual_seed(0)
-        decoder = Decoder(D, widths=(16, 16, 8, 8))
+        decoder = Decoder(D, channels=(16, 16, 8, 8))
         fit_decoder(decoder, embedding, frames, steps=120, batch_size=16, learning_rate=1e-2)
         assert not decoder.training
         with torch.no_grad():
@@ -42,12 +49,13 @@ def test_the_decoder_learns_to_draw_what_the_embedding_tells_and_repeats_itself(
     assert (drawn[0] - truth).square().mean() < 0.6 * (background - truth).square().mean()
 
 
-def test_the_reconstruction_loss_weighs_by_the_distance_to_the_background():
-    patches = torch.tensor([0, 51, 255], dtype=torch.uint8)[None]
-    drawn = torch.tensor([[0.1, 0.2, 0.5]])
-    loss = reconstruction_loss(drawn, patches, torch.zeros(3), foreground_weight=10.0)
-    # deviations 0, 0.2 and 1, weights 1, 3 and 11, errors 0.1, 0 and 0.5
-    torch.testing.assert_close(loss, torch.tensor((1 * 0.01 + 3 * 0 + 11 * 0.25) / 3))
+def test_the_reconstruction_loss_is_measured_in_units_of_contrast():
+    decoder = Decoder(D, channels=(16, 16, 8, 8))
+    decoder.background.fill_(100)
+    decoder.contrast.fill_(50)
+    patches = torch.full((2, 16, 32, 48), 150, dtype=torch.uint8)
+    loss = reconstruction_loss(decoder, torch.full((2, 16, 32, 48), 0.5), patches)
+    torch.testing.assert_close(loss, torch.tensor(0.25))
 
 
 def test_a_controller_whose_decoder_nobody_trained_says_so_and_else_draws_one_frame():

@@ -1,9 +1,22 @@
 """Plain ``nn.Module`` networks; no training code and no knowledge of the radio or the plant."""
 
 from tsjepa.models.actor import Actor
+from tsjepa.models.autoencoder import AutoencoderArchitecture, AutoencoderController
+from tsjepa.models.decoder import Decoder
 from tsjepa.models.encoder import Encoder
 from tsjepa.models.predictor import Predictor, rollout
 from tsjepa.models.probe import StateProbe
 from tsjepa.models.semantic import Architecture, SemanticController
 
-__all__ = ["Actor", "Architecture", "Encoder", "Predictor", "SemanticController", "StateProbe", "rollout"]
+__all__ = [
+    "Actor",
+    "Architecture",
+    "AutoencoderArchitecture",
+    "AutoencoderController",
+    "Decoder",
+    "Encoder",
+    "Predictor",
+    "SemanticController",
+    "StateProbe",
+    "rollout",
+]

@@ -24,15 +24,15 @@ class Upsample(nn.Sequential):
 
 
 class Decoder(nn.Module):
-    """A linear layer to a coarse picture that is doubled three times; a last convolution writes patches of 4x4 pixels.
+    """Two linear layers to a coarse picture that is doubled three times, then a convolution to patches of 4x4 pixels.
 
-    It draws what differs from the ``background``, a frame that is saved with the weights, so that neither it nor the
-    embedding has to carry what never changes.
+    It draws the difference to a ``background``, in units of each pixel's ``contrast``; both are saved with the weights.
+    So neither it nor the embedding carries what never changes, and a thin pole weighs as much as the cart.
 
     Args:
         embedding_dim: d.
         frame_stack: frames that are drawn, oldest first.
-        widths: channels of the coarse picture and after each doubling.
+        channels: of the coarse picture and after each doubling.
         height: frame height in pixels.
         width: frame width in pixels.
     """
@@ -41,28 +41,29 @@ class Decoder(nn.Module):
         self,
         embedding_dim: int = 256,
         frame_stack: int = 1,
-        widths: tuple[int, int, int, int] = (128, 64, 32, 32),
+        channels: tuple[int, int, int, int] = (128, 64, 32, 32),
         height: int = 64,
         width: int = 128,
     ) -> None:
         super().__init__()
+        self.embedding_dim, self.frame_stack, self.channels = embedding_dim, frame_stack, tuple(channels)
         self.scale = embedding_dim**0.5
-        self.coarse_shape = (widths[0], height // (8 * PATCH), width // (8 * PATCH))
+        self.coarse_shape = (channels[0], height // (8 * PATCH), width // (8 * PATCH))
+        self.hidden = nn.Linear(embedding_dim, embedding_dim)
         self.project = nn.Linear(embedding_dim, self.coarse_shape[0] * self.coarse_shape[1] * self.coarse_shape[2])
-        self.stages = nn.Sequential(*(Upsample(*pair) for pair in pairwise(widths)))
-        self.patches = nn.Conv2d(widths[-1], frame_stack * 3 * PATCH**2, 3, padding=1)
-        self.register_buffer("background", torch.zeros(height // PATCH, width // PATCH, 3 * PATCH**2))
+        self.stages = nn.Sequential(*(Upsample(*pair) for pair in pairwise(channels)))
+        self.patches = nn.Conv2d(channels[-1], frame_stack * 3 * PATCH**2, 3, padding=1)
+        shape = (height // PATCH, width // PATCH, frame_stack * 3 * PATCH**2)
+        self.register_buffer("background", torch.zeros(shape))
+        self.register_buffer("contrast", torch.ones(shape))
         self.register_buffer("fitted", torch.tensor(False))
         self.to(memory_format=torch.channels_last)
 
     def draw(self, embedding: Tensor) -> Tensor:
-        """What the frames of [N, d] add to the background, in 1/255: patches [N, H / 4, W / 4, frame_stack * 48]."""
-        coarse = F.relu(self.project(embedding * self.scale)).unflatten(1, self.coarse_shape)
+        """From embeddings [N, d] to (patches - background) / contrast [N, H / 4, W / 4, frame_stack * 48]."""
+        hidden = F.relu(self.hidden(embedding * self.scale))
+        coarse = F.relu(self.project(hidden)).unflatten(1, self.coarse_shape)
         return self.patches(self.stages(coarse)).permute(0, 2, 3, 1)
-
-    def backdrop(self) -> Tensor:
-        """The background's patches [H / 4, W / 4, frame_stack * 48], once for each frame that is drawn, in 0..255."""
-        return self.background.repeat(1, 1, self.patches.out_channels // self.background.shape[-1])
 
     def forward(self, embedding: Tensor) -> Tensor:
         """Frames [..., frame_stack, H, W, 3] in 0..255 from ``embedding`` [..., d] of unit length.
@@ -76,5 +77,5 @@ class Decoder(nn.Module):
                 "tsjepa.training.decoder.FitDecoder to the recipe, before ExportModel."
             )
         drawn = self.draw(embedding.reshape(-1, embedding.shape[-1])).float()
-        frames = unpatchify((self.backdrop() + 255 * drawn).clamp(0, 255))
+        frames = unpatchify((self.background + self.contrast * drawn).clamp(0, 255))
         return frames.reshape(*embedding.shape[:-1], *frames.shape[1:])

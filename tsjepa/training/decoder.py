@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import lightning
 import torch
 from torch import Tensor
+from torch.nn import functional as F
 from tqdm import trange
 
 from tsjepa.models.decoder import Decoder
@@ -14,30 +15,32 @@ from tsjepa.models.encoder import patchify
 from tsjepa.training.embeddings import embed_split
 from tsjepa.training.schedule import warmup_cosine_schedule
 
-FOREGROUND_WEIGHT = 20.0
 
-
-def median_frame(frames: Tensor, count: int = 301) -> Tensor:
-    """Median of ``count`` of the ``frames`` uint8 [N, H, W, 3], as patches [H / 4, W / 4, 48] for the background."""
-    some = frames[:: max(1, len(frames) // count)]
-    return patchify(some.median(0).values[None, None])[0].float()
-
-
-def reconstruction_loss(drawn: Tensor, patches: Tensor, backdrop: Tensor, foreground_weight: float) -> Tensor:
-    """Mean squared error of what is drawn over the background, cart and pole weighing more than the rest.
-
-    They cover a few per cent of the picture. Every value is weighted by 1 + ``foreground_weight`` times its distance to
-    the background, of 255.
+def look_around(decoder: Decoder, frames: Tensor, contrast_floor: float = 10.0, count: int = 301) -> None:
+    """Sets the decoder's background to the median frame, its contrast to each pixel's mean distance from it.
 
     Args:
-        drawn: [N, H / 4, W / 4, channels], what :meth:`Decoder.draw` gives.
-        patches: uint8, the true frames in the same shape.
-        backdrop: [H / 4, W / 4, channels] in 0..255.
-        foreground_weight: 0 weighs all alike.
+        decoder: of any number of frames, all of which get the same background.
+        frames: uint8 [N, H, W, 3], of which ``count`` are looked at.
+        contrast_floor: least contrast, of 255; a higher one lets rarely covered pixels weigh less.
     """
-    deviation = (patches.to(drawn.dtype) - backdrop.to(drawn.dtype)) / 255
-    weight = 1 + foreground_weight * deviation.abs()
-    return (weight * (drawn - deviation).square()).mean(dtype=torch.float32)
+    some = patchify(frames[:: max(1, len(frames) // count)][:, None])
+    background = some.median(0).values.float()
+    contrast = (some - background).square().mean(0).sqrt().clamp_min(contrast_floor)
+    frame_stack = decoder.background.shape[-1] // background.shape[-1]
+    decoder.background.copy_(background.repeat(1, 1, frame_stack))
+    decoder.contrast.copy_(contrast.repeat(1, 1, frame_stack))
+    decoder.fitted.fill_(True)
+
+
+def reconstruction_loss(decoder: Decoder, drawn: Tensor, patches: Tensor) -> Tensor:
+    """Mean squared error of ``drawn`` to uint8 ``patches`` [N, H / 4, W / 4, channels], in units of contrast."""
+    # without autocast, which would widen to 32 bits: there are more numbers here than in any layer
+    with torch.autocast(drawn.device.type, enabled=False):
+        scale = 1 / decoder.contrast
+        shift = -decoder.background * scale
+        target = torch.addcmul(shift.to(drawn.dtype), patches.to(drawn.dtype), scale.to(drawn.dtype))
+        return F.mse_loss(drawn, target)
 
 
 def fit_decoder(
@@ -47,23 +50,21 @@ def fit_decoder(
     steps: int,
     batch_size: int = 128,
     learning_rate: float = 3e-3,
-    foreground_weight: float = FOREGROUND_WEIGHT,
     seed: int = 0,
     precision: torch.dtype = torch.bfloat16,
 ) -> None:
     """Trains the decoder in place on :func:`reconstruction_loss` and leaves it in evaluation mode.
 
     Args:
-        decoder: of one frame; its ``background`` becomes the median frame.
+        decoder: of one frame.
         embedding: [N, d].
         frames: uint8 [N, H, W, 3], the newest frame of each embedding; may lie on another device.
         steps, batch_size, learning_rate: of AdamW with warm-up and cosine decay.
-        foreground_weight: see :func:`reconstruction_loss`.
         seed: seed of the batches.
         precision: autocast dtype of the forward pass.
     """
     device = embedding.device
-    decoder.background.copy_(median_frame(frames))
+    look_around(decoder, frames)
     generator = torch.Generator().manual_seed(seed)
     optimizer = torch.optim.AdamW(decoder.parameters(), learning_rate, weight_decay=1e-4)
     schedule = warmup_cosine_schedule(optimizer, steps)
@@ -74,14 +75,13 @@ def fit_decoder(
         patches = patchify(frames[rows].to(device)[:, None])
         with torch.autocast(device.type, precision):
             drawn = decoder.draw(embedding[rows.to(device)])
-        loss = reconstruction_loss(drawn, patches, decoder.backdrop(), foreground_weight)
+        loss = reconstruction_loss(decoder, drawn, patches)
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
         schedule.step()
         progress.set_postfix(loss=f"{loss.item():.5f}", refresh=False)
     decoder.eval()
-    decoder.fitted.fill_(True)
 
 
 class FitDecoder(lightning.Callback):

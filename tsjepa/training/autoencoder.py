@@ -1,0 +1,204 @@
+"""The generative baseline: encoder and decoder on reconstruction alone, then a state estimator on what they make."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import lightning
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+from tqdm import trange
+
+from tsjepa.models import Encoder
+from tsjepa.models.autoencoder import AutoencoderArchitecture, AutoencoderController
+from tsjepa.models.decoder import Decoder
+from tsjepa.models.encoder import patchify
+from tsjepa.training.decoder import look_around, reconstruction_loss
+from tsjepa.training.embeddings import embed_split
+from tsjepa.training.schedule import warmup_cosine_schedule
+
+
+class Autoencoder(lightning.LightningModule):
+    """Trains encoder and decoder to give back every stack of frames, pixel by pixel and without augmentation.
+
+    The estimator is trained when the fit ends, by :class:`FitEstimator`.
+
+    Args:
+        encoder: of the same class and size as TS-JEPA's.
+        decoder: of as many frames as the encoder takes.
+        learning_rate: peak of AdamW; warm-up and cosine decay as in TS-JEPA.
+        weight_decay: of AdamW.
+        contrast_floor: least unit of a pixel's error, of 255; see :func:`look_around`.
+
+    Raises:
+        ValueError: encoder and decoder do not fit together.
+    """
+
+    def __init__(
+        self,
+        encoder: Encoder,
+        decoder: Decoder,
+        learning_rate: float = 2e-3,
+        weight_decay: float = 1e-4,
+        contrast_floor: float = 10.0,
+    ) -> None:
+        super().__init__()
+        sizes = (encoder.embedding_dim, encoder.frame_shape[0])
+        if sizes != (decoder.embedding_dim, decoder.frame_stack):
+            raise ValueError(
+                f"The encoder has (embedding_dim, frame_stack) = {sizes}, the decoder "
+                f"{(decoder.embedding_dim, decoder.frame_stack)}; give them the same."
+            )
+        self.learning_rate, self.weight_decay, self.contrast_floor = learning_rate, weight_decay, contrast_floor
+        self.model = AutoencoderController(
+            AutoencoderArchitecture(
+                frame_stack=encoder.frame_shape[0],
+                widths=encoder.widths,
+                embedding_dim=encoder.embedding_dim,
+                decoder_channels=decoder.channels,
+            )
+        )
+        self.model.encoder, self.model.decoder = encoder, decoder
+
+    def setup(self, stage: str) -> None:
+        from tsjepa.envs.expert import Expert
+
+        data = self.trainer.datamodule
+        interval = data.metadata["sampling_interval"]
+        self.model.architecture = replace(
+            self.model.architecture, frame_spacing=data.frame_spacing, sampling_interval=interval
+        )
+        expert = Expert(interval)
+        self.model.law.gain.copy_(expert.gain)
+        self.model.law.position_clip.fill_(expert.position_clip)
+
+    def on_fit_start(self) -> None:
+        frames = torch.from_numpy(self.trainer.datamodule.split("train")["pixels"].numpy()).flatten(0, 1)
+        look_around(self.model.decoder, frames, self.contrast_floor)
+
+    def reconstruction(self, patches: Tensor) -> Tensor:
+        """Loss on stacks as uint8 patches [N, H / 4, W / 4, 48 * frame_stack]."""
+        encoder, decoder = self.model.encoder, self.model.decoder
+        device = patches.device.type
+        dtype = torch.get_autocast_dtype(device) if torch.is_autocast_enabled(device) else torch.float32
+        scale, shift = encoder.pixel_scale.to(dtype), encoder.pixel_shift.to(dtype)
+        embedding = encoder.embed(torch.addcmul(shift, patches.to(dtype), scale))
+        return reconstruction_loss(decoder, decoder.draw(embedding), patches)
+
+    def training_step(self, batch: TensorDictBase, batch_index: int) -> Tensor:
+        loss = self.reconstruction(batch["patches"].flatten(0, 1))
+        self.log("loss", loss, prog_bar=True)
+        return loss
+
+    def validation_step(self, batch: TensorDictBase, batch_index: int) -> None:
+        self.log_reconstruction("val", batch)
+
+    def test_step(self, batch: TensorDictBase, batch_index: int) -> None:
+        self.log_reconstruction("test", batch)
+
+    def log_reconstruction(self, stage: str, split: TensorDictBase) -> None:
+        """Logs the loss on a split [episodes, T + 1], every fifth slot of it."""
+        data = self.trainer.datamodule
+        pixels = torch.from_numpy(split["pixels"].cpu().numpy())
+        offsets = data.frame_spacing * torch.arange(1 - data.frame_stack, 1)
+        newest = torch.arange(data.first_slot, pixels.shape[1], 5)
+        losses = [
+            self.reconstruction(patchify(episode[newest[:, None] + offsets].to(self.device))) for episode in pixels
+        ]
+        self.log(f"{stage}/reconstruction", torch.stack(losses).float().mean(), prog_bar=True, batch_size=1)
+
+    def predict_step(self, batch: TensorDictBase, batch_index: int) -> TensorDict:
+        """Embeddings of a split, with the state and the commands beside them."""
+        return embed_split(self.model.encoder, batch, self.trainer.datamodule.frame_spacing)
+
+    def controller(self) -> AutoencoderController:
+        """The complete controller, whose estimator callbacks train when the fit ends."""
+        return self.model
+
+    def configure_optimizers(self):
+        parameters = [*self.model.encoder.parameters(), *self.model.decoder.parameters()]
+        optimizer = torch.optim.AdamW(parameters, self.learning_rate, weight_decay=self.weight_decay)
+        schedule = warmup_cosine_schedule(optimizer, self.trainer.estimated_stepping_batches)
+        return {"optimizer": optimizer, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}
+
+
+def fit_estimator(
+    model: AutoencoderController,
+    embedding: Tensor,
+    state: Tensor,
+    steps: int,
+    batch_size: int = 256,
+    learning_rate: float = 3e-3,
+    weight_decay: float = 1e-2,
+    seed: int = 0,
+    precision: torch.dtype = torch.bfloat16,
+) -> None:
+    """Trains the state estimator in place, each component of the state over its standard deviation.
+
+    It only ever sees what the frozen decoder draws, so that it learns to read reconstructions with all their faults.
+
+    Args:
+        model: of which only the estimator changes; left in evaluation mode.
+        embedding: [N, d].
+        state: [N, 4].
+        steps, batch_size, learning_rate, weight_decay: of AdamW with warm-up and cosine decay.
+        seed: seed of the batches.
+        precision: autocast dtype of the forward passes.
+    """
+    estimator, device = model.estimator, embedding.device
+    estimator.state_mean.copy_(state.mean(0))
+    estimator.state_std.copy_(state.std(0))
+    generator = torch.Generator().manual_seed(seed)
+    optimizer = torch.optim.AdamW(estimator.parameters(), learning_rate, weight_decay=weight_decay)
+    schedule = warmup_cosine_schedule(optimizer, steps)
+    model.eval()
+    estimator.train()
+    progress = trange(steps, desc="fit estimator", unit="step")
+    for _ in progress:
+        rows = torch.randint(len(embedding), (batch_size,), generator=generator).to(device)
+        with torch.autocast(device.type, precision):
+            with torch.no_grad():
+                drawn = model.decoder.draw(embedding[rows])
+            estimated = estimator(drawn)
+        loss = ((estimated - state[rows]) / estimator.state_std).square().mean()
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+        schedule.step()
+        progress.set_postfix(loss=f"{loss.item():.5f}", refresh=False)
+    estimator.eval()
+
+
+class FitEstimator(lightning.Callback):
+    """Runs :func:`fit_estimator` when the fit ends. List it before the export.
+
+    Args:
+        steps: optimizer steps.
+        batch_size, learning_rate, weight_decay: see :func:`fit_estimator`.
+        splits: of the data set. The autoencoder has not seen ``actor_train``, so that it errs there as it will in use.
+    """
+
+    def __init__(
+        self,
+        steps: int = 3000,
+        batch_size: int = 256,
+        learning_rate: float = 3e-3,
+        weight_decay: float = 1e-2,
+        splits: Sequence[str] = ("train", "actor_train"),
+    ) -> None:
+        self.steps, self.batch_size, self.splits = steps, batch_size, tuple(splits)
+        self.learning_rate, self.weight_decay = learning_rate, weight_decay
+
+    def on_fit_end(self, trainer: lightning.Trainer, module: Autoencoder) -> None:
+        if not trainer.is_global_zero:
+            return
+        model, data = module.controller(), trainer.datamodule
+        # Lightning has already moved everything back to the CPU
+        model.to(trainer.strategy.root_device)
+        splits = [embed_split(model.encoder, data.split(name), data.frame_spacing) for name in self.splits]
+        rows = torch.cat([split.flatten(0, 1) for split in splits])
+        options = (self.steps, self.batch_size, self.learning_rate, self.weight_decay)
+        fit_estimator(model, rows["embedding"], rows["state"], *options)
+        model.cpu()
