@@ -32,6 +32,12 @@ def test_the_plain_split_is_the_expert_and_the_other_is_not(folder):
     assert (plain["action"][:, -1] == 0).all()
 
 
+def test_a_warm_up_runs_without_force_and_the_expert_takes_over_after_it(tmp_path):
+    split = open_split(collect(str(tmp_path / "warm"), SPLITS, slots=6, warmup_slots=2, seed=7), "test")
+    assert (split["action"][:, :2] == 0).all()
+    assert torch.equal(split["action"][:, 2:-1], split["expert_action"][:, 2:-1])
+
+
 def test_the_same_seed_gives_the_same_bytes_and_another_seed_does_not(folder, tmp_path):
     again = collect(str(tmp_path / "again"), SPLITS, slots=30, seed=7)
     other = collect(str(tmp_path / "other"), SPLITS, slots=30, seed=8)

@@ -85,7 +85,9 @@ class Coverage:
 DEFAULT_COVERAGE = Coverage()
 
 
-def simulate(split: Split, coverage: Coverage, slots: int, fleet, expert, generator: torch.Generator) -> TensorDict:
+def simulate(
+    split: Split, coverage: Coverage, slots: int, warmup_slots: int, fleet, expert, generator: torch.Generator
+) -> TensorDict:
     """Runs ``split.episodes`` plants for ``slots`` slots; returns all but the pixels, [episodes, slots + 1]."""
     if split.coverage:
         set_points, noise = coverage.draw(split.episodes, slots, generator)
@@ -95,6 +97,7 @@ def simulate(split: Split, coverage: Coverage, slots: int, fleet, expert, genera
     states, actions, colors = [observation["state"]], [], observation["colors"]
     for slot in range(slots):
         action = (expert(observation["state"], set_points[:, slot]) + noise[:, slot]).clamp(-20, 20)
+        action = action * (slot >= warmup_slots)
         observation = fleet.step(observation.set("action", action))["next"]
         states.append(observation["state"])
         actions.append(action)
@@ -117,6 +120,7 @@ def collect(
     sampling_interval: float = 0.02,
     slots: int = 100,
     coverage: Coverage = DEFAULT_COVERAGE,
+    warmup_slots: int = 0,
     random_colors: bool = False,
     seed: int = 0,
     overwrite: bool = False,
@@ -133,6 +137,8 @@ def collect(
         sampling_interval: slot length in seconds.
         slots: T; a trajectory has T commands and T + 1 frames.
         coverage: behaviour of the splits that ask for it.
+        warmup_slots: slots without force at the start of a trajectory. The evaluation has kappa - 1 of them, and an
+            encoder that never saw them takes the expert's force for granted: its first velocities are then wrong.
         random_colors: draw cart and pole colours per episode.
         seed: seed of every stream.
         overwrite: replace the data set that is there.
@@ -152,6 +158,7 @@ def collect(
             "sampling_interval": sampling_interval,
             "slots": slots,
             "coverage": asdict(coverage),
+            "warmup_slots": warmup_slots,
             "random_colors": random_colors,
             "seed": seed,
             "camera": renderer().metadata(),
@@ -176,7 +183,7 @@ def collect(
                     terminate_on_failure=False,
                 )
                 generator = torch.Generator().manual_seed(stream)
-                trajectories = simulate(split, coverage, slots, fleet, Expert(sampling_interval), generator)
+                trajectories = simulate(split, coverage, slots, warmup_slots, fleet, Expert(sampling_interval), generator)
                 shutil.rmtree(partial / name, ignore_errors=True)
                 start_split(partial / name, trajectories)
                 journal.add(f"{name} simulated")

@@ -50,6 +50,7 @@ class ImitationPairs(Trajectories):
         path, collect, seed: see :class:`Trajectories`.
         batch_size: pairs per step (200 in the paper).
         horizons: slots ahead at which embeddings are predicted; 0 is received, and one listed twice counts twice.
+        splits: of the data set that the actor learns from.
     """
 
     def __init__(
@@ -58,16 +59,17 @@ class ImitationPairs(Trajectories):
         collect: str = "recipes/data.yaml",
         batch_size: int = 200,
         horizons: Sequence[int] = (0,),
+        splits: Sequence[str] = ("actor_train",),
         seed: int = 0,
     ) -> None:
         super().__init__(path, collect, seed=seed)
-        self.batch_size, self.horizons = batch_size, tuple(horizons)
+        self.batch_size, self.horizons, self.splits = batch_size, tuple(horizons), tuple(splits)
 
     def setup(self, stage: str | None = None) -> None:
         super().setup(stage)
         model = self.trainer.lightning_module.model
         spacing = model.architecture.frame_spacing
-        train = embed_split(model.encoder, self.split("actor_train"), spacing)
+        train = torch.cat([embed_split(model.encoder, self.split(name), spacing) for name in self.splits])
         self.pairs = imitation_pairs(model, train, self.horizons)
         state = train["state"].flatten(0, 1)
         model.probe.state_mean.copy_(state.mean(0))
