@@ -183,7 +183,9 @@ def collect(
                     terminate_on_failure=False,
                 )
                 generator = torch.Generator().manual_seed(stream)
-                trajectories = simulate(split, coverage, slots, warmup_slots, fleet, Expert(sampling_interval), generator)
+                trajectories = simulate(
+                    split, coverage, slots, warmup_slots, fleet, Expert(sampling_interval), generator
+                )
                 shutil.rmtree(partial / name, ignore_errors=True)
                 start_split(partial / name, trajectories)
                 journal.add(f"{name} simulated")
