@@ -15,7 +15,7 @@ def numbered_split(episodes: int = 3, frames: int = 20) -> TensorDict:
 
 
 def test_a_window_holds_the_frames_and_commands_of_its_slots():
-    dataset = WindowDataset(numbered_split(), stacks=3, frame_stack=2, frame_spacing=2)
+    dataset = WindowDataset([numbered_split()], stacks=3, frame_stack=2, frame_spacing=2)
     batch = dataset[Window(torch.tensor([1, 2]), torch.tensor([5, 2]), step=4)]
     numbers = unpatchify(batch["patches"].flatten(0, 1))[..., 0, 0, 0].unflatten(0, (2, 3)).long()
     # episode 1 starts at frame 20: stacks end at slots 5, 9, 13, each with the frame two slots before
@@ -23,6 +23,14 @@ def test_a_window_holds_the_frames_and_commands_of_its_slots():
     assert batch["commands"][0, :, 0].tolist() == list(range(25, 33))
     assert batch["expert_action"][0, :, 0].tolist() == [-25, -29, -33]
     assert numbers[1, 0].tolist() == [40, 42]
+
+
+def test_the_episodes_of_a_second_split_are_numbered_on():
+    second = numbered_split()
+    second["action"] += 1000
+    dataset = WindowDataset([numbered_split(), second], stacks=2, frame_stack=1, frame_spacing=1)
+    batch = dataset[Window(torch.tensor([4]), torch.tensor([3]), step=1)]
+    assert batch["commands"][0, :, 0].tolist() == [1000 + 20 + 3]
 
 
 def sampler(**changes) -> WindowSampler:

@@ -31,7 +31,8 @@ class Trajectories(lightning.LightningDataModule):
         stacks: stacks per window.
         frames_per_batch: context frames a step, over all processes (256 in the paper).
         steps: slots between the stacks of a window, drawn per batch.
-        episodes: use only the first so many training trajectories; None for all.
+        episodes: use only the first so many trajectories of every split; None for all.
+        splits: of the data set that are trained on.
         seed: seed of the windows' own stream.
     """
 
@@ -45,6 +46,7 @@ class Trajectories(lightning.LightningDataModule):
         frames_per_batch: int = 256,
         steps: Sequence[int] = (1, 1, 2, 4),
         episodes: int | None = None,
+        splits: Sequence[str] = ("train",),
         seed: int = 0,
     ) -> None:
         super().__init__()
@@ -61,6 +63,7 @@ class Trajectories(lightning.LightningDataModule):
         self.path, self.recipe = Path(path), collect
         self.frame_stack, self.frame_spacing, self.stacks = frame_stack, frame_spacing, stacks
         self.frames_per_batch, self.steps, self.episodes, self.seed = frames_per_batch, steps, episodes, seed
+        self.splits = tuple(splits)
 
     @property
     def first_slot(self) -> int:
@@ -88,13 +91,14 @@ class Trajectories(lightning.LightningDataModule):
         return open_split(self.path, name)
 
     def train_dataloader(self) -> DataLoader:
-        split = self.split("train")[: self.episodes]
+        splits = [self.split(name)[: self.episodes] for name in self.splits]
+        episodes, frames = sum(map(len, splits)), splits[0].shape[1]
         rank, world_size = (self.trainer.global_rank, self.trainer.world_size) if self.trainer else (0, 1)
         windows = self.frames_per_batch // self.stacks
         sampler = WindowSampler(
-            *split.batch_size, self.first_slot, self.stacks, windows, self.steps, self.seed, rank, world_size
+            episodes, frames, self.first_slot, self.stacks, windows, self.steps, self.seed, rank, world_size
         )
-        dataset = WindowDataset(split, self.stacks, self.frame_stack, self.frame_spacing)
+        dataset = WindowDataset(splits, self.stacks, self.frame_stack, self.frame_spacing)
         return DataLoader(dataset, sampler=sampler, batch_size=None, collate_fn=as_is)
 
     def val_dataloader(self) -> DataLoader:

@@ -89,23 +89,22 @@ class WindowSampler(Sampler[Window]):
 
 
 class WindowDataset(Dataset):
-    """Gathers the frames and commands of a :class:`Window` from a split.
+    """Gathers the frames and commands of a :class:`Window` from one or more splits, whose episodes are numbered on.
 
     Args:
-        split: batch size [episodes, T + 1], keys ``pixels``, ``action`` and ``expert_action``.
+        splits: batch sizes [episodes, T + 1] with the same T, keys ``pixels``, ``action`` and ``expert_action``.
         stacks: W.
         frame_stack: kappa.
         frame_spacing: slots between the frames of a stack.
     """
 
-    def __init__(self, split: TensorDictBase, stacks: int, frame_stack: int, frame_spacing: int) -> None:
-        episodes, frames = split.batch_size
+    def __init__(self, splits: Sequence[TensorDictBase], stacks: int, frame_stack: int, frame_spacing: int) -> None:
         # cut into patches once: a stack's patches are then its frames' side by side, three times faster to gather
-        pixels = torch.from_numpy(split["pixels"].numpy()).view(episodes * frames, 1, *split["pixels"].shape[2:])
-        self.patches = torch.cat([patchify(part) for part in pixels.split(1024)])
-        self.action = split["action"].view(episodes * frames, 1).clone()
-        self.expert_action = split["expert_action"].view(episodes * frames, 1).clone()
-        self.frames, self.stacks = frames, stacks
+        pixels = [torch.from_numpy(split["pixels"].numpy()).flatten(0, 1)[:, None] for split in splits]
+        self.patches = torch.cat([patchify(part) for whole in pixels for part in whole.split(1024)])
+        self.action = torch.cat([split["action"].flatten(0, 1) for split in splits])
+        self.expert_action = torch.cat([split["expert_action"].flatten(0, 1) for split in splits])
+        self.frames, self.stacks = splits[0].shape[1], stacks
         self.offsets = frame_spacing * torch.arange(1 - frame_stack, 1)
 
     def __getitem__(self, window: Window) -> TensorDict:
