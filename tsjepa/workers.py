@@ -95,6 +95,7 @@ def _die_with_parent() -> None:
 
 
 def _over_ray(function: Callable, items: Iterable) -> Iterator[tuple[int, Any]]:
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # Ray would report to its makers
     import ray
 
     if not ray.is_initialized():

@@ -1,5 +1,7 @@
 """What can go wrong while it runs: a loss that explodes, a GL context that is lost, a worker that is killed."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import torch
@@ -73,7 +75,8 @@ def test_several_workers_collect_the_same_bytes(home, command):
 
 def test_a_killed_worker_of_a_ray_cluster_costs_its_item_and_not_the_run(items):
     ray = pytest.importorskip("ray")
-    ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False)
+    found_here = {"env_vars": {"PYTHONPATH": str(Path(__file__).parent)}}
+    ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False, runtime_env=found_here)
     try:
         assert sorted(run_items(die_once, items, workers="ray")) == [(index, str(index)) for index in range(5)]
     finally:
