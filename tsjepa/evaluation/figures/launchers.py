@@ -5,20 +5,22 @@ from __future__ import annotations
 import importlib
 import time
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
-from multiprocessing import get_context
+
+from tsjepa.workers import RAY, run_items
 
 LAUNCHERS = ("serial", "processes", "ray")
-LOST_POOLS = 3  # workers that may be killed, one after the other, before the sweep gives up
 
 Outcome = tuple[list[dict], float]
 
 
-def evaluate(module: str, point: dict) -> Outcome:
-    """Rows of a point and the seconds it took, on one thread: the number of threads changes the last digits."""
+def evaluate(job: tuple[str, dict]) -> Outcome:
+    """Rows of a point, given the name of its module, and the seconds it took.
+
+    On one thread: the number of threads changes the last digits, and then a closed loop.
+    """
     import torch
 
+    module, point = job
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     started = time.perf_counter()
@@ -35,47 +37,12 @@ def launch(module: str, points: list[dict], launcher: str, workers: int) -> Iter
         module: full name of a figure's module.
         points: of its sweep.
         launcher: "serial", "processes" or "ray".
-        workers: how many at a time; Ray counts its own machines.
+        workers: processes at a time; Ray counts its own machines.
 
     Raises:
         ValueError: no such launcher.
-        BrokenProcessPool: workers were killed again and again.
     """
     if launcher not in LAUNCHERS:
         raise ValueError(f"There is no launcher {launcher!r}; choose from {', '.join(LAUNCHERS)}.")
-    return {"serial": _serial, "processes": _processes, "ray": _ray}[launcher](module, points, workers)
-
-
-def _serial(module: str, points: list[dict], workers: int) -> Iterator[tuple[int, Outcome]]:
-    for index, point in enumerate(points):
-        yield index, evaluate(module, point)
-
-
-def _processes(module: str, points: list[dict], workers: int) -> Iterator[tuple[int, Outcome]]:
-    left, lost = set(range(len(points))), 0
-    while left:
-        # spawned, because a forked child would share the GL context
-        pool = ProcessPoolExecutor(min(workers, len(left)), mp_context=get_context("spawn"))
-        try:
-            futures = {pool.submit(evaluate, module, points[index]): index for index in sorted(left)}
-            for future in as_completed(futures):
-                yield futures[future], future.result()
-                left.remove(futures[future])
-        except BrokenProcessPool:
-            # a worker was killed: what it did is done again by a new pool
-            lost += 1
-            if lost > LOST_POOLS:
-                raise
-        finally:
-            pool.shutdown(cancel_futures=True)
-
-
-def _ray(module: str, points: list[dict], workers: int) -> Iterator[tuple[int, Outcome]]:
-    import ray
-
-    ray.init(ignore_reinit_error=True, log_to_driver=False)
-    remote = ray.remote(num_cpus=1)(evaluate)
-    futures = {remote.remote(module, point): index for index, point in enumerate(points)}
-    while futures:
-        (done,), _ = ray.wait(list(futures), num_returns=1)
-        yield futures.pop(done), ray.get(done)
+    jobs = [(module, point) for point in points]
+    return run_items(evaluate, jobs, {"serial": 1, "processes": workers, "ray": RAY}[launcher])

@@ -35,7 +35,11 @@ def run_sweep(
     figure = module.__name__.rpartition(".")[2]
     recorded = {store.key(record["point"]): record for record in store.read(folder, figure)}
     keys = [store.key(point) for point in points]
+    stale = len(set(recorded) - set(keys))
     recorded = {key: recorded[key] for key in keys if key in recorded}
+    if stale:
+        print(f"{figure}: {stale} recorded points are not in this sweep and are dropped.")
+        store.write(folder, figure, list(recorded.values()))
     missing = sorted({model for point in points for model in models_of(point) if weights_of(model) is None})
     if missing:
         print(f"{figure}: the zoo has no {', '.join(missing)} yet; the points that need it are left out.")
