@@ -15,6 +15,8 @@ _NOISE = re.compile(
     r"Does not validate against any of the Union|Subtypes: |Errors:$|Expected a <class 'NoneType'>"
     r"|Given value type: |Given value: (NestedArg|Namespace)"
 )
+# Modules of others that check what a recipe sets: a learning rate, an accelerator, a number of devices.
+_CHECK_SETTINGS = ("torch.optim", "lightning.pytorch.trainer.connectors", "lightning.fabric.utilities.device_parser")
 _DENIED = re.compile(r"Importing '([\w.]+)' is not allowed, denied by .*?set_parsing_settings to allow it\.?")
 
 
@@ -32,7 +34,7 @@ def explain(error: BaseException) -> str | None:
     """Say in one sentence what went wrong, where that is for the user to mend.
 
     That is so for an exception that this package raises itself (a ``raise`` statement in its code), for a file that
-    cannot be opened, for a configuration that Lightning or jsonargparse refuses, and for a package not installed.
+    cannot be opened, for a setting that Lightning, torch or jsonargparse refuses, and for a package not installed.
 
     Returns:
         The sentence, or None for an exception nobody foresaw, which deserves its traceback.
@@ -42,7 +44,8 @@ def explain(error: BaseException) -> str | None:
         return " ".join(str(error.args[0] if isinstance(error, KeyError) else error).split())
     if isinstance(error, ModuleNotFoundError) and not (error.name or "").startswith("tsjepa"):
         return f"the package {error.name} is not installed; `make setup` installs all that this program needs."
-    if type(error).__name__ == "MisconfigurationException":
+    refused_setting = isinstance(error, ValueError) and _module_of(error).startswith(_CHECK_SETTINGS)
+    if refused_setting or type(error).__name__ == "MisconfigurationException":
         return " ".join(str(error).split())
     if _module_of(error).startswith("jsonargparse"):
         # The exception of a constructor, caught while jsonargparse tried out the types that an option may have.

@@ -12,6 +12,8 @@ from itertools import islice
 from queue import SimpleQueue
 from typing import Any, Literal
 
+from tsjepa.checks import at_least
+
 RAY = "ray"
 ATTEMPTS = 3  # at an item whose worker is killed
 QUEUED = 2  # items in flight per worker: the results of more would only fill the memory
@@ -36,9 +38,9 @@ def run_items(function: Callable[[Any], Any], items: Iterable[Any], workers: Wor
     """
     if workers == RAY:
         yield from _over_ray(function, items)
-    elif workers < 1:
-        raise ValueError(f"workers is {workers}; it has to be at least 1, or {RAY}.")
-    elif workers == 1:
+        return
+    at_least(1, workers=workers)
+    if workers == 1:
         yield from ((index, function(item)) for index, item in enumerate(items))
     else:
         yield from _over_processes(function, items, workers)

@@ -237,6 +237,7 @@ EXPORTS = [("nobody", "name"), ("runs/jepa", "../name"), ("runs/jepa", ""), ("",
 def test_values_that_cannot_be(work, tmp_path, command, option, value):
     elsewhere = {"collect": "--path", "simulate": "--output", "evaluate": "--output"}
     where = [f"{elsewhere[command]}={tmp_path}/new"] if command in elsewhere else []
+    where += ["--model=runs/jepa/model"] if command == "evaluate" else []
     refused(command, "--config", RECIPES[command], *where, f"--{option}={value}")
 
 

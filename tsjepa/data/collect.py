@@ -23,7 +23,7 @@ from tsjepa.envs.camera import HEIGHT, WIDTH
 from tsjepa.envs.expert import Expert
 from tsjepa.files import exclusive
 from tsjepa.journal import Journal
-from tsjepa.workers import Workers, run_items
+from tsjepa.workers import RAY, Workers, run_items
 
 FRAME_BYTES = HEIGHT * WIDTH * 3
 
@@ -144,6 +144,8 @@ def collect(
         overwrite: replace the data set that is there.
         workers: processes that render, or "ray" for a Ray cluster.
     """
+    if workers != RAY:
+        at_least(1, workers=workers)
     at_least(1, slots=slots, **{f"splits.{name}.episodes": split.episodes for name, split in splits.items()})
     if not splits or not all(name.isidentifier() for name in splits):
         raise ValueError(f"splits is {splits}; a data set needs at least one, and their names become folders.")
