@@ -117,10 +117,14 @@ def test_a_manifest_that_is_cut_anywhere_is_refused(entry, tmp_path):
             zoo.verify(copy)
 
 
-def test_the_card_may_be_edited(entry, tmp_path):
+def test_the_card_may_be_edited_damaged_and_lost(entry, tmp_path):
     copy = shutil.copytree(entry, tmp_path / "copy")
-    (copy / CARD).write_text("another card")
-    tsjepa.load(copy)
+    (copy / CARD).write_text("another card ±", encoding="utf-8")
+    assert tsjepa.load(copy).card == "another card ±"
+    (copy / CARD).write_bytes(b"another card \xff")
+    assert tsjepa.load(copy).card.startswith("another card ")
+    (copy / CARD).unlink()
+    assert tsjepa.load(copy).card == ""
 
 
 def test_an_unknown_name_lists_the_known_ones(monkeypatch, entry, tmp_path):

@@ -129,7 +129,8 @@ def load(name_or_path: str | Path, sha256: str | None = None) -> nn.Module:
         raise ValueError(f"The weights in {folder / WEIGHTS} are not those of the model in {CONFIG}.") from error
     model.entry_sha256 = fingerprint(folder)
     model.metrics = json.loads((folder / METRICS).read_text())
-    model.card = (folder / CARD).read_text() if (folder / CARD).is_file() else ""
+    card = folder / CARD
+    model.card = card.read_text(encoding="utf-8", errors="replace") if card.is_file() else ""
     return model.eval().requires_grad_(False)
 
 
@@ -192,7 +193,7 @@ def _write(model: nn.Module, kind: str, partial: Path, metrics: dict, card: str,
     sizes = {name: list(v) if isinstance(v, tuple) else v for name, v in asdict(model.architecture).items()}
     (partial / CONFIG).write_text(yaml.safe_dump({"kind": kind} | sizes, sort_keys=False))
     (partial / METRICS).write_text(json.dumps(metrics, indent=2) + "\n")
-    (partial / CARD).write_text(card)
+    (partial / CARD).write_text(card, encoding="utf-8")
     save_file(_stored(model, dtype), partial / WEIGHTS)
     (partial / WEIGHTS).chmod(0o644)  # safetensors lets only the owner read
     digests = {name: hashlib.sha256((partial / name).read_bytes()).hexdigest() for name in HASHED}
