@@ -5,6 +5,9 @@ import subprocess
 import sys
 
 import tiny
+import tiny_controller
+
+from tsjepa import zoo
 
 HOME = tiny.ROOT / "tests" / "benchmarks"
 
@@ -46,3 +49,18 @@ def test_loading(tmp_path):
     result = run("loading.py", tmp_path, "--rounds", "1", "--entries", "tsjepa-cartpole")
     assert set(result["seconds_to_load"]) == {"tsjepa-cartpole"}
     assert result["seconds_to_load"]["tsjepa-cartpole"]["min"] > 0
+
+
+def test_latency(tmp_path):
+    model = str(zoo.save(tiny_controller.tiny(), tmp_path / "model"))
+    result = run("latency.py", tmp_path, "--model", model, "--rounds", "3", "--devices", "1", "7")
+    assert result["payload_bits"] == 8 * 8
+    assert result["frame_bits"] == 8 * 2 * 64 * 128 * 3
+    assert 0 < result["device_memory"]["of_which_python_and_onnx_runtime_mib"] < result["device_memory"]["peak_mib"]
+    assert set(result["controller"]) == {"1", "7"}
+    # a hidden layer of 16 on 8 + 1 and an actor of 16 and 8 on 8
+    multiplied = 9 * 16 + 16 * 8 + 8 * 16 + 16 * 8 + 8
+    assert result["controller"]["7"]["megaflop"] == 2 * 7 * multiplied / 1e6
+    for row in (result["device"], *result["controller"].values()):
+        assert row["floor_milliseconds"]["rounds"] == 3
+        assert all(row[name]["min"] > 0 for name in ("floor_milliseconds", "onnx_over_floor", "eager_over_onnx"))

@@ -145,7 +145,8 @@ def deploy(model: str, folder: str, format: Literal["onnx", "torch_export"] = "o
     lacking = [name for name in ("onnx", "onnxscript") if format == "onnx" and importlib.util.find_spec(name) is None]
     if lacking:
         raise ModuleNotFoundError(f"The format onnx needs the package {lacking[0]}: pip install 'tsjepa[onnx]'.")
-    controller = zoo.load(model)
+    # torch.export.save knows no other format
+    controller = zoo.load(model).to(memory_format=torch.contiguous_format)
     parts = graphs(controller)
     partial = target.with_name(target.name + ".partial")
     with exclusive(target):
