@@ -12,10 +12,14 @@ ACTOR_RECIPE ?= recipes/actor.yaml
 DATA_RECIPE ?= recipes/data.yaml
 EVALUATION_RECIPE ?= recipes/evaluate.yaml
 
+# Python of the environment that has `tsjepa[bench]`, for the benchmarks beside other libraries; see peers.py.
+PEERS_PYTHON ?= $(BIN)/python
+BENCHMARKS := camera training_step network fleet collection latency loading memory quality
+
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.setup-done
 
-.PHONY: help setup train-jepa train-actor train-supervised train-autoencoder data evaluate demo figures figures-check report test lint faults audit
+.PHONY: help setup train-jepa train-actor train-supervised train-autoencoder data evaluate demo figures figures-check report test lint faults audit bench
 
 help: ## print this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "%-18s %s\n", $$1, $$2}' Makefile
@@ -81,6 +85,12 @@ test: setup ## run the unit tests and a smoke run of the whole chain
 
 faults: setup ## kill every command fifty times and record what survives (half an hour)
 	$(BIN)/python tests/faults/kills.py --kills 50
+
+bench: setup ## measure everything beside its peers and limits, on an otherwise idle machine, and print the table (half an hour)
+	@failed=; for name in $(BENCHMARKS); do $(BIN)/python tests/benchmarks/$$name.py || failed="$$failed $$name"; done; \
+	$(PEERS_PYTHON) tests/benchmarks/peers.py || failed="$$failed peers"; \
+	$(BIN)/python tests/benchmarks/table.py; \
+	if [ -n "$$failed" ]; then echo "failed:$$failed" >&2; exit 1; fi
 
 audit: setup ## look up the installed packages in the database of known vulnerabilities (needs the network)
 	$(BIN)/python -m pip install --quiet $(PIP_FLAGS) -e '.[audit]'

@@ -30,7 +30,7 @@ EXTRAS = {
     for pin in pins
 }
 TARGETS = ["setup", "train-jepa", "train-actor", "data", "evaluate", "demo", "test", "lint", "help"]
-TARGETS += ["train-supervised", "train-autoencoder", "figures", "figures-check", "report", "faults", "audit"]
+TARGETS += ["train-supervised", "train-autoencoder", "figures", "figures-check", "report", "faults", "audit", "bench"]
 MODULE_NAMES = {
     "cv2": "opencv-python-headless",
     "dm_env": "dm-control",

@@ -1,0 +1,182 @@
+"""Device-steps per second of a fleet that renders and encodes every slot, and what encoding it as one batch gains.
+
+    python tests/benchmarks/fleet.py --threads 2            # about three minutes on an idle machine
+
+- fleet: ``FleetEnv``, the network's ``Camera`` and ``Encode`` as one TorchRL environment, every device in every slot,
+  against the number of devices; beside it the same pictures drawn and encoded with nothing around them;
+- encoding: the frames of the whole fleet in one call, beside one call a device.
+
+The floor under both is the encoder's FLOPs, counted while it runs, at the rate at which the same number of threads
+multiplies large float32 matrices in the same round.
+"""
+
+import argparse
+import time
+
+import torch
+from report import publish, spread
+from torch import Tensor
+from torch.utils.flop_counter import FlopCounterMode
+
+import tsjepa
+
+GEMM_SIDE = 1024
+TARGET_BATCHED = 3
+
+
+def flops_per_observation(model: torch.nn.Module, frames: Tensor) -> int:
+    """Floating-point operations of encoding one of ``frames``; a multiplication with its addition counts as two."""
+    with FlopCounterMode(display=False) as counter:
+        model.encode(frames[:1])
+    return counter.get_total_flops()
+
+
+def gemm_rate(matrix: Tensor) -> float:
+    """FLOP/s of a product of square matrices."""
+    start = time.perf_counter()
+    matrix @ matrix
+    return 2 * len(matrix) ** 3 / (time.perf_counter() - start)
+
+
+def build(devices: int, model: torch.nn.Module, renderer):
+    """The environment: plants, camera, encoder."""
+    from torchrl.envs import Compose, TransformedEnv
+
+    from tsjepa.envs import FleetEnv
+    from tsjepa.network.transforms import Camera, Encode
+
+    sizes = model.architecture
+    plants = FleetEnv(
+        devices,
+        sampling_interval=sizes.sampling_interval,
+        frame_history=model.frame_history,
+        episode_length=10**9,
+        terminate_on_failure=False,
+    )
+    camera = Camera(renderer.render, sizes.frame_stack, sizes.frame_spacing)
+    return TransformedEnv(plants, Compose(camera, Encode(model.encode)))
+
+
+def run(env, law, slots: int) -> tuple[float, list[Tensor]]:
+    """Seconds that ``slots`` steps take from fresh starts, and the pictures' qpos [I, frame_history, 2] of each."""
+    now, seen = env.reset(), []
+    start = time.perf_counter()
+    for _ in range(slots):
+        now = env.step(now.set("action", law(now["state"])))["next"]
+        seen.append(now["qpos"])
+    return time.perf_counter() - start, seen
+
+
+def alone(model: torch.nn.Module, renderer, seen: list[Tensor]) -> float:
+    """Seconds that drawing and encoding the same pictures takes."""
+    start = time.perf_counter()
+    for history in seen:
+        qpos = history[:, :: model.architecture.frame_spacing]
+        pictures = torch.from_numpy(renderer.render(qpos.flatten(0, 1).numpy()))
+        model.encode(pictures.unflatten(0, qpos.shape[:2]))
+    return time.perf_counter() - start
+
+
+def encode_both_ways(model: torch.nn.Module, frames: Tensor) -> tuple[float, float]:
+    """Seconds of encoding ``frames`` [I, ...] in one call, and in one call a device."""
+    start = time.perf_counter()
+    model.encode(frames)
+    half = time.perf_counter()
+    for one in frames.split(1):
+        model.encode(one)
+    return half - start, time.perf_counter() - half
+
+
+@torch.no_grad()
+def measure(name: str, sizes: list[int], batch: int, rounds: int, steps: int, threads: int) -> dict:
+    """All contenders in turn, after a round that does not count.
+
+    Args:
+        name: zoo entry.
+        sizes: numbers of devices of the fleets.
+        batch: number of devices whose frames are encoded in both ways.
+        rounds: turns of each.
+        steps: device-steps of a fleet and turn, at least one slot.
+        threads: of torch; recorded.
+    """
+    from tsjepa.envs import Renderer
+    from tsjepa.envs.expert import reference_lqr
+
+    model, renderer = tsjepa.load(name), Renderer()
+    law = reference_lqr(model.architecture.sampling_interval)
+    fleets = {size: build(size, model, renderer) for size in sizes}
+    frames = build(batch, model, renderer).reset()["pixels"]
+    matrix = torch.randn(GEMM_SIDE, GEMM_SIDE, generator=torch.Generator().manual_seed(0))
+    flops = flops_per_observation(model, frames)
+    chained, drawn = {size: [] for size in sizes}, {size: [] for size in sizes}
+    batched, single, peak = [], [], []
+    for turn in range(rounds + 1):
+        measured = {}
+        for size, env in fleets.items():
+            slots = max(1, steps // size)
+            seconds, seen = run(env, law, slots)
+            measured[size] = (slots * size / seconds, slots * size / alone(model, renderer, seen))
+        together, one_by_one, rate = *encode_both_ways(model, frames), gemm_rate(matrix)
+        if turn:
+            for size, (fleet, bare) in measured.items():
+                chained[size].append(fleet)
+                drawn[size].append(bare)
+            batched.append(batch / together)
+            single.append(batch / one_by_one)
+            peak.append(rate)
+    return {
+        "model": name,
+        "threads": threads,
+        "encoder_megaflop": flops / 1e6,
+        "frame_bytes_per_observation": frames[0].numel(),
+        "gemm_gigaflop_per_second": spread([rate / 1e9 for rate in peak]),
+        "fleet": [
+            {
+                "devices": size,
+                "device_steps_per_second": spread(chained[size]),
+                "drawing_and_encoding_alone_per_second": spread(drawn[size]),
+                "fleet_over_alone": spread(ratios(chained[size], drawn[size])),
+                "fleet_over_encoder_floor": spread(shares(chained[size], peak, flops)),
+            }
+            for size in sizes
+        ],
+        "encoding": {
+            "devices": batch,
+            "batched_per_second": spread(batched),
+            "one_by_one_per_second": spread(single),
+            "batched_over_one_by_one": {**spread(ratios(batched, single)), "target": TARGET_BATCHED},
+            "batched_over_floor": spread(shares(batched, peak, flops)),
+            "floor_over_one_by_one": spread([1 / share for share in shares(single, peak, flops)]),
+        },
+    }
+
+
+def ratios(ours: list[float], theirs: list[float]) -> list[float]:
+    """Of the same rounds."""
+    return [a / b for a, b in zip(ours, theirs, strict=True)]
+
+
+def shares(rates: list[float], peak: list[float], flops: int) -> list[float]:
+    """Observations per second over what the FLOPs alone would allow, round by round."""
+    return [rate * flops / limit for rate, limit in zip(rates, peak, strict=True)]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--model", default="tsjepa-cartpole")
+    parser.add_argument("--devices", type=int, nargs="+", default=[1, 16, 64, 256], help="I of the fleets")
+    parser.add_argument("--batch", type=int, default=64, help="I of the encoding")
+    parser.add_argument("--rounds", type=int, default=11)
+    parser.add_argument("--steps", type=int, default=512, help="device-steps a fleet and round")
+    parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--output", default="docs/results/fleet.json")
+    options = parser.parse_args()
+    torch.set_num_threads(options.threads)
+    publish(
+        options.output,
+        measure(options.model, options.devices, options.batch, options.rounds, options.steps, options.threads),
+    )
+
+
+if __name__ == "__main__":
+    main()
