@@ -42,6 +42,15 @@ def test_refining_lowers_the_prediction_error_and_repeats_itself(embedded):
     assert all(torch.equal(a, b) for a, b in zip(first.parameters(), second.parameters(), strict=True))
 
 
+def test_rollouts_can_all_begin_at_the_starts(embedded):
+    predictor = Predictor(D, 8)
+    embedded["embedding"][:, 6:] = float("nan")  # beyond what a roll-out of 5 slots from the start reaches
+    refine_predictor(
+        predictor, embedded, steps=3, horizon=5, batch_size=16, learning_rate=1e-3, seed=0, start_share=1.0
+    )
+    assert all(parameter.isfinite().all() for parameter in predictor.parameters())
+
+
 def test_refining_over_more_slots_than_there_are_is_refused(embedded):
     with pytest.raises(ValueError, match="30 slots does not fit into trajectories of 30"):
         refine_predictor(Predictor(D, 8), embedded, steps=1, horizon=30, batch_size=1, learning_rate=1e-3, seed=0)

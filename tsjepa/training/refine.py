@@ -22,6 +22,7 @@ def refine_predictor(
     batch_size: int,
     learning_rate: float,
     seed: int,
+    start_share: float = 0.0,
     precision: torch.dtype = torch.bfloat16,
 ) -> None:
     """Trains the predictor in place with the same cosine loss over auto-regressive roll-outs.
@@ -34,6 +35,9 @@ def refine_predictor(
         batch_size: roll-outs per step.
         learning_rate: peak of AdamW's warm-up and cosine decay.
         seed: seed of the roll-outs' starts.
+        start_share: share of the roll-outs that begin where a trajectory begins; the others begin anywhere. A pair of
+            frames does not tell what force acted between them: at a start it was none, later it was the expert's, and
+            uniform roll-outs make the predictor take the expert's for granted.
         precision: autocast dtype of the roll-out.
     """
     embedding, action = embedded["embedding"], embedded["action"]
@@ -47,6 +51,7 @@ def refine_predictor(
     for _ in progress:
         episode = torch.randint(episodes, (batch_size, 1), generator=generator).to(embedding.device)
         start = torch.randint(slots - horizon, (batch_size, 1), generator=generator).to(embedding.device)
+        start = start * (torch.rand(batch_size, 1, generator=generator) >= start_share).to(start)
         rows = start + torch.arange(horizon, device=embedding.device)
         with torch.autocast(embedding.device.type, precision):
             predicted = rollout(predictor, embedding[episode[:, 0], start[:, 0]], action[episode, rows])
@@ -71,14 +76,22 @@ class RefinePredictor(lightning.Callback):
         batch_size: int = 256,
         learning_rate: float = 2e-3,
         seed: int = 0,
+        start_share: float = 0.0,
     ) -> None:
         self.steps, self.horizon, self.batch_size = steps, horizon, batch_size
-        self.learning_rate, self.seed = learning_rate, seed
+        self.learning_rate, self.seed, self.start_share = learning_rate, seed, start_share
 
     def on_fit_end(self, trainer: lightning.Trainer, module: lightning.LightningModule) -> None:
         if trainer.is_global_zero:
             data = trainer.datamodule
             embedded = embed_split(module.encoder, data.split("train"), data.frame_spacing)
             refine_predictor(
-                module.predictor, embedded, self.steps, self.horizon, self.batch_size, self.learning_rate, self.seed
+                module.predictor,
+                embedded,
+                self.steps,
+                self.horizon,
+                self.batch_size,
+                self.learning_rate,
+                self.seed,
+                self.start_share,
             )
