@@ -8,7 +8,15 @@ import torch
 
 from tsjepa.envs.dynamics import Dynamics
 from tsjepa.envs.expert import Expert
-from tsjepa.evaluation.closed_loop import ONCE, SemanticPolicy, Starts, is_update, run, true_state_policy
+from tsjepa.evaluation.closed_loop import (
+    ONCE,
+    SemanticPolicy,
+    Starts,
+    is_update,
+    planned_policy,
+    run,
+    true_state_policy,
+)
 
 INTERVAL = 0.02
 STARTS = Starts(seed=0, count=4, slots=30, frame_history=3)
@@ -20,8 +28,9 @@ class Oracle:
     Velocity is the exact one of the plant, looked up by qpos, so that nothing is lost on the way.
     """
 
-    def __init__(self, frame_spacing: int = 2) -> None:
-        self.architecture = SimpleNamespace(frame_spacing=frame_spacing)
+    def __init__(self, frame_spacing: int = 2, has_predictor: bool = True) -> None:
+        self.architecture = SimpleNamespace(frame_spacing=frame_spacing, has_predictor=has_predictor)
+        self.frame_history = frame_spacing + 1
         self.expert, self.dynamics = Expert(INTERVAL), Dynamics(INTERVAL)
         self.states: dict[tuple, torch.Tensor] = {}
         self.encoded, self.frames = 0, None
@@ -81,7 +90,7 @@ def test_frames_are_encoded_at_updates_only(period, updates):
     assert model.encoded == updates == sum(is_update(slot, period) for slot in range(30))
 
 
-@pytest.mark.parametrize(("spacing", "history"), [(1, 2), (2, 3)])
+@pytest.mark.parametrize(("spacing", "history"), [(1, 2), (2, 3), (1, 4), (2, 4)])
 def test_a_stack_holds_the_frames_of_now_and_of_frame_spacing_slots_ago(spacing, history):
     model = Oracle(spacing)
     _, seen = drive(model, 1, Starts(seed=0, count=2, slots=4, frame_history=history))
@@ -119,6 +128,24 @@ def test_between_updates_the_last_command_is_held_or_there_is_none():
         last = slot - slot % 5
         assert torch.equal(held.action[slot], expert(held.state[last]))
         assert torch.equal(none.action[slot], expert(none.state[slot]) if slot == last else torch.zeros(4, 1))
+
+
+def test_a_model_without_predictor_holds_its_command_between_updates():
+    held = run(STARTS, true_state_policy(Expert(INTERVAL), 5, "hold"))
+    model = Oracle(has_predictor=False)
+    loop, _ = drive(model, 5, blend=0.5)
+    assert model.encoded == 6
+    assert torch.equal(loop.action, held.action)
+    assert torch.equal(loop.state, held.state)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.05])
+def test_a_plan_sent_once_is_perfect_feedback_while_nothing_disturbs_the_plant(noise):
+    starts = Starts(seed=0, count=4, slots=30, process_noise_std=noise)
+    feedback = run(starts, true_state_policy(Expert(INTERVAL), 1))
+    planned = run(starts, planned_policy(Expert(INTERVAL), INTERVAL, 30))
+    assert torch.equal(planned.action[0], feedback.action[0])
+    assert torch.allclose(planned.state, feedback.state, atol=1e-3) == (noise == 0)
 
 
 def test_a_codec_changes_what_is_acted_on_and_a_blend_mixes_received_with_predicted():

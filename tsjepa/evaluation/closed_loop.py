@@ -6,10 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from tsjepa.evaluation.metrics import Run
-from tsjepa.models import SemanticController
 
 ONCE = 0  # as an update period: one update at the first slot, none after it
 
@@ -87,22 +86,43 @@ def true_state_policy(law: Callable[[Tensor], Tensor], period: int, between: str
     return policy
 
 
+def planned_policy(law: Callable[[Tensor], Tensor], sampling_interval: float, slots: int) -> Policy:
+    """The law's commands for all ``slots``, planned at slot 0 on the plant without noise and then applied blindly.
+
+    So much is to be had from a perfect model that hears the true state once.
+    """
+    from tsjepa.envs.dynamics import Dynamics
+
+    plan: list[Tensor] = []
+
+    def policy(slot: int, observation) -> Tensor:
+        if slot == 0:
+            dynamics, state = Dynamics(sampling_interval), observation["state"]
+            for _ in range(slots):
+                plan.append(law(state))
+                after = dynamics.advance(state.double().numpy(), plan[-1][:, 0].double().numpy())
+                state = torch.from_numpy(after).to(state.dtype)
+        return plan[slot]
+
+    return policy
+
+
 class SemanticPolicy:
-    """Encodes at updates and predicts in between, then acts.
+    """Encodes at updates and predicts in between, then acts; without a predictor it holds its command in between.
 
     Args:
-        model: encoder, predictor and actor.
+        model: a controller of the zoo.
         render: from qpos [N, 2] and colours to frames, as :class:`tsjepa.envs.Renderer` has it.
         period: slots between updates, or :data:`ONCE`.
         blend: how much of a received embedding enters the belief; 1 replaces the prediction.
         codec: what the radio does to an embedding (quantisation), or None.
 
-    After each slot ``belief`` holds the embedding that was acted on, [N, d].
+    After each slot ``belief`` holds the embedding that was acted on last, [N, d].
     """
 
     def __init__(
         self,
-        model: SemanticController,
+        model: nn.Module,
         render: Callable,
         period: int,
         blend: float = 1.0,
@@ -112,22 +132,24 @@ class SemanticPolicy:
         self.belief = None
 
     def __call__(self, slot: int, observation) -> Tensor:
-        predicted = None if slot == 0 else self.model.predict(self.belief, self.command)
+        predicts = self.model.architecture.has_predictor
+        predicted = self.model.predict(self.belief, self.command) if predicts and slot > 0 else None
         if is_update(slot, self.period):
             received = self.model.encode(self.frames(observation))
             received = received if self.codec is None else self.codec(received)
             if predicted is not None and self.blend < 1:
                 received = torch.nn.functional.normalize(torch.lerp(predicted, received, self.blend), dim=-1)
             self.belief = received
-        else:
+        elif predicts:
             self.belief = predicted
+        else:
+            return self.command
         self.command = self.model.act(self.belief)
         return self.command
 
     def frames(self, observation) -> Tensor:
-        """Stacks [N, frame_stack, H, W, 3] of the observed devices."""
-        spacing = self.model.architecture.frame_spacing
-        qpos = observation["qpos"].flip(1)[:, ::spacing].flip(1)
+        """Stacks [N, frame_stack, H, W, 3] of the observed devices; they may remember more than a stack spans."""
+        qpos = observation["qpos"][:, -self.model.frame_history :: self.model.architecture.frame_spacing]
         colors = observation["colors"].repeat_interleave(qpos.shape[1], 0)
         frames = self.render(qpos.flatten(0, 1).double().numpy(), colors.numpy())
         return torch.from_numpy(frames).unflatten(0, qpos.shape[:2])

@@ -13,16 +13,22 @@ from tqdm import tqdm
 
 from tsjepa.checks import at_least, within
 from tsjepa.data.storage import read_metadata
-from tsjepa.evaluation.closed_loop import ONCE, SemanticPolicy, Starts, run, true_state_policy
+from tsjepa.evaluation.closed_loop import ONCE, SemanticPolicy, Starts, planned_policy, run, true_state_policy
 from tsjepa.evaluation.codec import embedding_codec
 from tsjepa.evaluation.metrics import Run, interval, normalized_score
+from tsjepa.evaluation.model_card import kind_of
 from tsjepa.evaluation.open_loop import open_loop_metrics
-from tsjepa.evaluation.pictures import loop_plot, loop_video
+from tsjepa.evaluation.pictures import horizon_plot, look_inside, loop_plot
 from tsjepa.evaluation.provenance import machine, provenance
 from tsjepa.files import write_text
 from tsjepa.network.codecs import payload_bits
 
 STATE_BITS = 4 * 32
+RAW_FRAME_BITS = 8 * 3 * 64 * 128
+FRAME_HISTORY = 4  # slots up to step 0 under zero force: what the longest stack needs, so that all meet the same starts
+ANGLE_LIMIT = 0.05  # rad; a prediction whose probed angle is further off counts as lost
+FIRST_SLOT = f"first_slot_angle_error_above_{ANGLE_LIMIT}"
+LABELS = {"tsjepa": "TS-JEPA", "supervised": "supervised", "autoencoder": "autoencoder"}
 
 
 def evaluate(
@@ -42,7 +48,8 @@ def evaluate(
 
     Args:
         model: name or folder of a zoo entry.
-        output: folder for ``evaluation.json``, ``score.png`` and ``loop.mp4``.
+        output: folder for ``evaluation.json``, the plots ``score.png`` and (with a period of 0) ``horizon.png``, and
+            what embeddings hold: the film ``loop.mp4`` and the still picture ``inside.png``.
         data: data set whose test split gives command error, probe error and prediction skill; null to leave them out.
         periods: slots between updates; 0 means once, at the first slot.
         seeds: sets of starts, at least 2 (5 for figures that are reported).
@@ -51,7 +58,7 @@ def evaluate(
         process_noise_std: standard deviation of the noise on both velocities after every slot (m/s, rad/s).
         blend: how much of a received embedding enters the belief; 1 replaces the prediction.
         codec: how an embedding is sent; the integer ones need ranges that travel with the model.
-        video: write a film of the first start.
+        video: write the film and the still picture.
     """
     import tsjepa
     from tsjepa.envs import Renderer
@@ -64,7 +71,8 @@ def evaluate(
     controller = tsjepa.load(model)
     if data is not None:
         read_metadata(data)  # a missing data set is said before the loops are run
-    architecture = controller.architecture
+    architecture, own = controller.architecture, LABELS[kind_of(controller)]
+    frame_history = max(FRAME_HISTORY, controller.frame_history)
     interval_s = architecture.sampling_interval
     renderer, expert = Renderer(), Expert(interval_s)
     radio = embedding_codec(codec, controller)
@@ -73,10 +81,7 @@ def evaluate(
     def sent(embedding: torch.Tensor) -> torch.Tensor:
         return radio.decode(radio.encode(embedding))
 
-    sets = [
-        Starts(seed, starts_per_seed, slots, controller.frame_history, interval_s, process_noise_std)
-        for seed in range(seeds)
-    ]
+    sets = [Starts(seed, starts_per_seed, slots, frame_history, interval_s, process_noise_std) for seed in range(seeds)]
     laws = {"expert": expert, "reference LQR": reference_lqr(interval_s)}
     feedback = {name: [run(starts, true_state_policy(law, 1)) for starts in sets] for name, law in laws.items()}
     best = max(feedback, key=lambda name: sum(float(loop.raw_score().sum()) for loop in feedback[name]))
@@ -84,15 +89,25 @@ def evaluate(
     rows = [summary("expert, perfect feedback", 1, feedback["expert"], optimal, STATE_BITS, slots)]
     for period in tqdm(periods, desc="closed loops", unit="period"):
         policies = {
-            "TS-JEPA": partial(SemanticPolicy, controller, renderer.render, period, blend, sent),
+            own: partial(SemanticPolicy, controller, renderer.render, period, blend, sent),
             "expert, hold last": partial(true_state_policy, expert, period, "hold"),
             "expert, zero": partial(true_state_policy, expert, period, "zero"),
         }
+        if period == ONCE:
+            policies["expert, plan sent once"] = partial(planned_policy, expert, interval_s, slots)
         for name, policy in policies.items():
-            if period == 1 and name != "TS-JEPA":
+            if period == 1 and name != own:
                 continue
-            bits = embedding_bits if name == "TS-JEPA" else STATE_BITS
-            rows.append(summary(name, period, [run(starts, policy()) for starts in sets], optimal, bits, slots))
+            bits = embedding_bits if name == own else STATE_BITS
+            if name == own and period == ONCE and architecture.has_predictor:
+                loops, errors = zip(*(run_probed(starts, policy()) for starts in sets), strict=True)
+                more = angle_figures(torch.cat(errors, dim=1))
+            else:
+                loops, more = [run(starts, policy()) for starts in sets], {}
+            rows.append(summary(name, period, loops, optimal, bits, slots) | more)
+            if name == own == LABELS["supervised"]:
+                frames = RAW_FRAME_BITS * architecture.frame_stack
+                rows[-1]["bits_per_step_as_frames"] = rows[-1]["bits_per_step"] * frames / bits
     result = {
         "made_by": provenance(),
         "machine": machine(),
@@ -101,10 +116,12 @@ def evaluate(
         "codec": codec,
         "optimal_policy": best,
         "optimal_raw_score": float(torch.cat(optimal).mean()),
+        "optimal_score_by_slot": score_by_slot(feedback[best]),
         "starts": f"{seeds} seeds x {starts_per_seed}",
         "seeds": list(range(seeds)),
         "starts_per_seed": starts_per_seed,
         "slots": slots,
+        "frame_history": frame_history,
         "process_noise_std": process_noise_std,
         "blend": blend,
         "closed_loop": rows,
@@ -116,15 +133,41 @@ def evaluate(
     write_text(folder / "evaluation.json", json.dumps(result, indent=2) + "\n")
     print(table(result))
     loop_plot(rows, folder / "score.png")
-    if video:
-        loop_video(
-            controller, renderer, Starts(seeds, 1, slots, controller.frame_history, interval_s), folder / "loop.mp4"
-        )
+    if ONCE in periods:
+        horizon_plot(rows, result["optimal_score_by_slot"], folder / "horizon.png")
+    if video and not controller.decoder.fitted:
+        print("There is no film, because the decoder of this model was never trained.")
+    elif video:
+        first = Starts(seeds, 1, slots, frame_history, interval_s)
+        look_inside(controller, renderer, first, folder / "loop.mp4", folder / "inside.png")
     print(f"Figures, plot and film are in {folder}.")
     return result
 
 
-def summary(name: str, period: int, loops: list[Run], optimal: list[torch.Tensor], bits: int, slots: int) -> dict:
+@torch.no_grad()
+def run_probed(starts: Starts, policy: SemanticPolicy) -> tuple[Run, torch.Tensor]:
+    """The closed loop, and the error [T, N] of the angle that the probe reads from each slot's belief, in rad."""
+    errors = []
+
+    def watched(slot: int, observation) -> torch.Tensor:
+        action = policy(slot, observation)
+        errors.append((policy.model.probe(policy.belief)[:, 1] - observation["state"][:, 1]).abs())
+        return action
+
+    return run(starts, watched), torch.stack(errors)
+
+
+def angle_figures(errors: torch.Tensor) -> dict:
+    """The mean over starts of errors [T, N], and the first slot where it passes the limit; None if it never does."""
+    mean = errors.mean(1)
+    above = (mean > ANGLE_LIMIT).nonzero()
+    return {
+        FIRST_SLOT: int(above[0]) if len(above) else None,
+        "angle_error_by_slot": mean.tolist(),
+    }
+
+
+def summary(name: str, period: int, loops: Sequence[Run], optimal: list[torch.Tensor], bits: int, slots: int) -> dict:
     """One row of the table: means over all starts, intervals over seeds."""
     scores = [normalized_score(loop.raw_score(), best) for loop, best in zip(loops, optimal, strict=True)]
     mean, half = interval(scores)
@@ -146,7 +189,7 @@ def summary(name: str, period: int, loops: list[Run], optimal: list[torch.Tensor
     }
 
 
-def score_by_slot(loops: list[Run]) -> list[float]:
+def score_by_slot(loops: Sequence[Run]) -> list[float]:
     """Share of starts that are in the box after each slot."""
     states = torch.cat([loop.state[1:] for loop in loops], dim=1)
     return ((states[..., 0].abs() <= 0.05) & (states[..., 1].abs() <= 0.05)).float().mean(1).tolist()
@@ -161,6 +204,9 @@ def table(result: dict) -> str:
             f"{row['raw_score']:>7.3f}{row['failures']:>5}/{row['starts']:<3}{row['quadratic_cost']:>9.1f}"
             f"{row['command_nmae']:>8.4f}{row['bits_per_step']:>10.0f}"
         )
+        if FIRST_SLOT in row:
+            slot = "never" if row[FIRST_SLOT] is None else f"from slot {row[FIRST_SLOT]}"
+            lines.append(f"  probed angle more than {ANGLE_LIMIT} rad off: {slot}")
     if "open_loop" in result:
         lines += ["", *(f"{name}: {value}" for name, value in result["open_loop"].items())]
     return "\n".join(lines)
