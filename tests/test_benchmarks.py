@@ -1,9 +1,12 @@
 """The benchmarks run, at a size at which their figures mean nothing."""
 
+import importlib.util
 import json
+import operator
 import subprocess
 import sys
 
+import pytest
 import tiny
 import tiny_controller
 
@@ -64,3 +67,173 @@ def test_latency(tmp_path):
     for row in (result["device"], *result["controller"].values()):
         assert row["floor_milliseconds"]["rounds"] == 3
         assert all(row[name]["min"] > 0 for name in ("floor_milliseconds", "onnx_over_floor", "eager_over_onnx"))
+
+
+@pytest.fixture
+def script(monkeypatch):
+    """A benchmark's module, as it is imported when the script runs."""
+    monkeypatch.syspath_prepend(str(HOME))
+    return importlib.import_module
+
+
+def rows(script, part: str, result: dict) -> list[list[str]]:
+    """What the table shows of a result: name, figure, peer or limit, ratio, target, met."""
+    return [row.cells() for row in script("table").PARTS[part](result)]
+
+
+def test_fleet(tmp_path, script):
+    model = str(zoo.save(tiny_controller.tiny(), tmp_path / "model"))
+    small = ["--devices", "1", "3", "--batch", "4", "--rounds", "2", "--steps", "6", "--threads", "1"]
+    result = run("fleet.py", tmp_path, "--model", model, *small)
+    # the stem on 16 x 32 patches of 96 channels, three blocks that halve the sides, a projection
+    multiplied = 16 * 32 * 9 * 96 * 4
+    for positions, before, after in ((8 * 16, 4, 4), (4 * 8, 4, 8), (2 * 4, 8, 8)):
+        multiplied += positions * (9 * before * after + 9 * after * after + before * after)
+    multiplied += 2 * 4 * 8 * 8
+    assert result["encoder_megaflop"] == 2 * multiplied / 1e6
+    assert result["frame_bytes_per_observation"] == 2 * 64 * 128 * 3
+    assert [row["devices"] for row in result["fleet"]] == [1, 3]
+    assert all(row["fleet_over_alone"]["min"] > 0 and row["fleet_over_alone"]["rounds"] == 2 for row in result["fleet"])
+    assert result["encoding"]["batched_over_one_by_one"]["min"] > 0
+    assert len(rows(script, "fleet", result)) == 4
+
+
+def test_shares_of_the_floor(script):
+    fleet = script("fleet")
+    # 10 embeddings a second of 5 operations each, where 200 operations a second are possible
+    assert fleet.shares([10.0, 4.0], [200.0, 20.0], flops=5) == [0.25, 1.0]
+    assert fleet.ratios([6.0, 1.0], [2.0, 4.0]) == [3.0, 0.25]
+
+
+def test_collection(tmp_path, script):
+    tiny.write(tmp_path, "recipes/data.yaml", tiny.shrink(tiny.load("recipes/data.yaml")))
+    result = run("collection.py", tmp_path, "--rounds", "1", "--bare-frames", "20")
+    assert (result["trajectories"], result["frames"]) == (5 * 2, 5 * 2 * 101)
+    assert result["of_which_start_seconds"]["median"] > 0
+    assert result["frames_per_second"]["bare"]["min"] > 0
+    figures = {"seconds": {"median": 30.0}, "of_which_start_seconds": {"median": 10.0}}
+    rates = {"frames_per_second": {"collection": {"median": 1800.0}, "bare": {"median": 2000.0}}}
+    ratio = {"collection_over_bare": {"median": 0.9, "min": 0.85, "max": 1.25, "rounds": 3}}
+    (cells,) = rows(script, "collection", result | figures | rates | ratio)
+    assert cells[1:] == [
+        "30.0 s, 10.0 s of them to start; 1,800 frames/s",
+        "bare render loop: 2,000",
+        "0.9 (0.85 to 1.25)",
+        "",
+        "",
+    ]
+
+
+def test_least_collection(script):
+    collection = script("collection")
+    recipe = {"slots": 9, "splits": {"train": {"episodes": 5, "coverage": False}, "test": {"episodes": 2}}}
+    assert collection.frames_of(recipe) == 70
+    assert collection.frames_of(collection.least(recipe)) == 20
+    assert collection.least(recipe)["splits"]["train"] == {"episodes": 1, "coverage": False}
+
+
+def test_quality(tmp_path, script):
+    for name in ("fast", "fast-actor", "data", "evaluate"):
+        tiny.write(tmp_path, f"recipes/{name}.yaml", tiny.shrink(tiny.load(f"recipes/{name}.yaml")))
+    result = run("quality.py", tmp_path, "--epochs", "1", "--threads", "1", "--recipes", "recipes")
+    (trained,) = result["runs"]
+    assert set(trained["seconds"]) == {"collect_and_fit", "fit_actor", "evaluate"}
+    spent = trained["seconds"]["collect_and_fit"] + trained["seconds"]["fit_actor"]
+    assert trained["seconds_to_train"] == pytest.approx(spent)
+    assert trained["starts"] == 12
+    assert 0 <= trained["normalized_score"] < 0.9
+    assert result["seconds_to_score"] == {"0.9": None, "0.95": None}
+    assert [cells[1::4] for cells in rows(script, "quality", result)] == [["not reached", ""], ["not reached", "no"]]
+
+
+def test_seconds_to_a_score_are_those_of_the_fastest_run_that_reaches_it(script):
+    scored = ((0.89, 100), (0.93, 300), (0.95, 450), (0.97, 700))
+    runs = [{"normalized_score": score, "seconds_to_train": seconds} for score, seconds in scored]
+    quality = script("quality")
+    assert [quality.seconds_to(score, runs) for score in (0.9, 0.95, 0.98)] == [300, 450, None]
+    assert quality.seconds_to(0.9, []) is None
+
+
+def test_network(tmp_path, script):
+    result = run("network.py", tmp_path, "--slots", "4", "--threads", "1")
+    assert set(result["channel_aware_on_one_thread"]) == {"100", "1000", "10000", "100000"}
+    assert all(rate["min"] > 0 for rate in result["device_slots_per_second"].values())
+    text = (tmp_path / "out" / "result.txt").read_text()
+    assert "pure network mode, I = 1000" in text
+    assert all(f"  {scheduler} " in text for scheduler in result["device_slots_per_second"])
+    assert len(rows(script, "network", result)) >= 6
+
+
+def test_peers_that_are_not_installed_are_left_out_with_the_reason(script):
+    assert script("peers").missing("no-such-package")["left_out"].startswith("no-such-package is not installed")
+    assert script("peers").missing("torch") is None
+
+
+def test_a_trainer_takes_turns(tmp_path, script, monkeypatch):
+    for name in ("recipes/jepa.yaml", "recipes/data.yaml"):
+        tiny.write(tmp_path, name, tiny.shrink(tiny.load(name)))
+    monkeypatch.chdir(tmp_path)
+    peers, turns = script("peers"), script("turns")
+    small = ["--data.init_args.frames_per_batch", "16"]
+    trainer = turns.Contender(peers.ours, "recipes/jepa.yaml", 1, small, target=peers.train)
+    # more steps than an epoch has
+    assert all(trainer.rate(steps) > 0 for steps in (1, 30))
+    trainer.stop()
+    assert trainer.process.exitcode == 0
+
+
+def test_a_contender_that_dies_is_named(script):
+    with pytest.raises(RuntimeError, match="truediv ended with status 1"):
+        script("turns").Contender(operator.truediv, 1, 0)
+
+
+@pytest.mark.skipif(importlib.util.find_spec("lightly") is None, reason="the extra bench is not installed")
+def test_peers(tmp_path, script):
+    for name in ("recipes/jepa.yaml", "recipes/data.yaml"):
+        tiny.write(tmp_path, name, tiny.shrink(tiny.load(name)))
+    small = ["--rounds", "2", "--steps", "2", "--devices", "3", "--frames", "20", "--threads", "1"]
+    result = run("peers.py", tmp_path, *small, "--data.init_args.frames_per_batch", "16")
+    assert result["training"]["ours_over_lightly"]["min"] > 0
+    assert result["environment"]["fleet_over_swm"]["rounds"] == 2
+    assert len(rows(script, "peers", result)) == 3
+
+
+def test_a_command_that_fails_stops_the_benchmark(tmp_path, script):
+    with pytest.raises(SystemExit, match=r"tsjepa no-such-command ended with status 2: .*there is no command"):
+        script("command").seconds_to_run(tmp_path, "no-such-command")
+
+
+@pytest.mark.parametrize(
+    ("value", "at_most", "met"), [(3.0, False, "yes"), (2.9, False, "no"), (3.0, True, "yes"), (3.1, True, "no")]
+)
+def test_a_target_is_met_or_not(script, value, at_most, met):
+    Row = script("table").Row
+    sign = "≤" if at_most else "≥"
+    assert Row("a", "b", target=3, value=value, at_most=at_most).cells() == ["a", "b", "", "", f"{sign} 3", met]
+    assert Row("a", "b", target=3, value=None, at_most=at_most).cells()[-1] == "no"
+    assert Row("a", "b", value=value).cells()[-1] == ""
+
+
+def test_table(tmp_path, script):
+    origin = {
+        "made_by": {"command": "memory.py", "commit": "abc", "date": "2026-01-02"},
+        "machine": {"processor": "P", "cores": 2, "load_average": 0.1},
+    }
+    memory = {"devices": 1000, "slots": 10_000, "resident_mb_after_a_tenth": 500.0, "growth_percent": 2.5}
+    loading = {"limit_s": 2.0, "seconds_to_load": {"quick": {"median": 0.5}, "slow": {"median": 1.5}}}
+    for name, figures in (("memory", memory), ("loading", loading)):
+        (tmp_path / f"{name}.json").write_text(json.dumps(origin | figures))
+    lines = script("table").table(tmp_path).splitlines()
+    assert "| loading the slowest of 2 zoo entries, slow | 1.50 s |  |  | ≤ 2 | yes |" in lines[2]
+    assert lines[3] == (
+        "| memory growth in per cent, 1,000 devices for 10,000 slots | 2.5 | 500.0 MB after a tenth |  | ≤ 2 | no "
+        "| `tests/benchmarks/memory.py` |"
+    )
+    assert "- memory.json: abc, 2026-01-02, 2 cores of P, load average 0.1 at the end" in lines
+    assert lines[-1].startswith("- not measured: camera.json, collection.json, ")
+
+
+def test_the_table_reads_what_is_recorded(script):
+    text = script("table").table(tiny.ROOT / "docs" / "results")
+    assert "| camera, fleet of 64 |" in text
+    assert all(line.count("|") == 8 for line in text.splitlines() if line.startswith("|"))
