@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from itertools import pairwise
 from pathlib import Path
 
@@ -72,33 +73,39 @@ def draw(records: list[dict], path: str | Path) -> None:
 def verdicts(records: list[dict]) -> dict[str, Verdict]:
     """Trends from the smallest to the largest dimension."""
     rows = flat(records)
-    dimensions = sorted(plots.distinct(rows, "dimension"))
-    if len(dimensions) < 2:
-        return {}
 
-    def means(period: int, measure: str) -> list[float]:
-        return [plots.mean(plots.select(rows, dimension=d, update_every=period), measure) for d in dimensions]
-
-    def listed(values: list[float], digits: int) -> str:
-        return ", ".join(f"{value:.{digits}f} (d = {d})" for d, value in zip(dimensions, values, strict=True))
+    def means(period: int, measure: str) -> dict[int, float]:
+        shown = plots.select(rows, update_every=period)
+        dimensions = sorted(plots.distinct(shown, "dimension"))
+        return {d: plots.mean(plots.select(shown, dimension=d), measure) for d in dimensions}
 
     errors, bits, scores = means(1, "nmae"), means(1, "bits_per_slot"), means(10, "score")
-    return {
-        "dimension_nmae": judge(
-            all(first > second for first, second in pairwise(errors)),
+    found = {}
+    if len(errors) > 1:
+        found["dimension_nmae"] = judge(
+            rises([-error for error in errors.values()]),
             f"command NMAE {listed(errors, 4)}",
             "the state has four numbers and its two frames show them to few dimensions as well as to many",
-            partly=errors[-1] < errors[0],
-        ),
-        "dimension_bits": judge(
-            all(first < second for first, second in pairwise(bits)),
-            f"bits per slot {listed(bits, 0)}",
-            "the payload does not grow with the dimension",
-        ),
-        "dimension_score": judge(
-            all(first < second for first, second in pairwise(scores)),
+            partly=errors[max(errors)] < errors[min(errors)],
+        )
+        found["dimension_bits"] = judge(
+            rises(bits.values()), f"bits per slot {listed(bits, 0)}", "the payload does not grow with the dimension"
+        )
+    if len(scores) > 1:
+        found["dimension_score"] = judge(
+            rises(scores.values()),
             f"normalised score with an update every 10 slots {listed(scores, 3)}",
             "the score does not rise with every doubling",
-            partly=scores[-1] > scores[0],
-        ),
-    }
+            partly=scores[max(scores)] > scores[min(scores)],
+        )
+    return found
+
+
+def rises(values: Iterable[float]) -> bool:
+    """Whether every value is larger than the one before."""
+    return all(first < second for first, second in pairwise(values))
+
+
+def listed(values: dict[int, float], digits: int) -> str:
+    """Values by dimension in words."""
+    return ", ".join(f"{value:.{digits}f} (d = {dimension})" for dimension, value in values.items())

@@ -50,7 +50,7 @@ def evaluate(point: dict) -> list[dict]:
 def draw(records: list[dict], path: str | Path) -> None:
     """Command error, bits and score: in every slot, sent once over the horizon, and against the update period."""
     rows = flat(records)
-    labels = plots.distinct(rows, "label")
+    labels = plots.distinct(plots.select(rows, update_every=1), "label")
     colors = dict(zip(labels, plots.PALETTE, strict=False))
     figure, axes = plots.canvas(columns=3, rows=2, width=4.6)
     fresh = [plots.select(rows, label=label, update_every=1) for label in labels]

@@ -1,0 +1,184 @@
+"""What the figures measure, against answers that are known."""
+
+import numpy as np
+import pytest
+import torch
+
+from tsjepa.evaluation.figures import devices, frame_change, tsne
+from tsjepa.evaluation.figures.grids import grid
+from tsjepa.evaluation.figures.loops import loop_rows, starts_of, thinned
+from tsjepa.evaluation.figures.senders import H264, Stills, StreamSender, without_sei
+from tsjepa.network.codecs import make_codec
+
+LOOP = {"model": None, "sends": "state", "codec": "fp32", "update_every": 1, "between": "hold"}
+SIZES = {"seeds": 2, "starts": 6, "slots": 100, "process_noise_std": 0.0}
+
+
+def test_a_grid_is_all_combinations_of_its_lists():
+    assert grid({"a": 1, "b": [2, 3], "c": ["x", "y"]}) == [
+        {"a": 1, "b": b, "c": c} for b in (2, 3) for c in ("x", "y")
+    ]
+    assert grid({"a": 1}) == [{"a": 1}]
+
+
+def test_the_change_of_a_frame_leaves_black_pixels_out():
+    previous = torch.tensor([0.0, 100.0, 200.0]).expand(1, 2, 2, 3)
+    frames = torch.tensor([50.0, 150.0, 190.0]).expand(1, 2, 2, 3)
+    error, masked = frame_change.mape(frames, previous)
+    assert error.item() == pytest.approx((50 + 5) / 2)
+    assert masked == pytest.approx(1 / 3)
+
+
+def test_augmentation_of_no_strength_is_the_identity(monkeypatch):
+    still = frame_change.Augmentation(0, 0, 0, 0, 0)
+    monkeypatch.setattr(frame_change, "Augmentation", lambda: still)
+    frames = torch.randint(0, 256, (3, 4, 5, 3), dtype=torch.uint8, generator=torch.Generator().manual_seed(0))
+    assert torch.equal(frame_change.augmented(frames, torch.Generator().manual_seed(0)), frames.float())
+
+
+def test_frames_further_apart_in_time_differ_more():
+    rows = [
+        frame_change.evaluate({"interval_ms": ms, "augmentation": "none", "seeds": 1, "episodes": 2, "pairs": 4})[0]
+        for ms in (2, 20)
+    ]
+    assert 0 < rows[0]["median"] < rows[1]["median"]
+    assert np.all(np.diff(rows[0]["quantiles"]) >= 0)
+
+
+def test_the_expert_on_the_true_state_in_every_slot_scores_about_one():
+    rows = loop_rows(LOOP | SIZES)
+    assert [row["seed"] for row in rows] == [0, 1]
+    assert all(row["bits_per_slot"] == 4 * 32 for row in rows)
+    assert all(row["failed"] == 0 and row["score"] > 0.8 for row in rows)
+
+
+def test_an_update_that_is_always_lost_is_never_heard():
+    lost, none = loop_rows(LOOP | SIZES | {"loss": 1.0}), loop_rows(LOOP | SIZES | {"update_every": 200, "loss": 1.0})
+    assert [row["cost"] for row in lost] == [row["cost"] for row in none]
+    assert all(row["failed"] == 1 for row in lost)
+    assert lost[0]["bits_per_slot"] == 128 and none[0]["bits_per_slot"] == 128 / 100
+
+
+def test_half_of_the_bits_are_sent_with_an_update_in_every_other_slot():
+    assert loop_rows(LOOP | SIZES | {"update_every": 2})[0]["bits_per_slot"] == 64
+
+
+def test_starts_without_a_score_are_refused():
+    with pytest.raises(ValueError, match="perfect feedback"):
+        loop_rows(LOOP | SIZES | {"starts": 1, "slots": 2})
+
+
+def test_every_controller_meets_the_same_starts():
+    assert starts_of(LOOP | SIZES, 0) == starts_of(LOOP | SIZES | {"model": "tsjepa-cartpole"}, 0)
+
+
+def test_a_curve_is_averaged_over_five_slots():
+    assert thinned(torch.arange(12.0)) == [2.0, 7.0]
+
+
+class Stacker:
+    """A model whose embedding is the mean of each frame of its stack."""
+
+    def encode(self, frames):
+        return frames.double().mean((2, 3, 4))
+
+
+def moving_square(slots: int) -> torch.Tensor:
+    """uint8 [slots, 2, 64, 128, 3]: neighbouring frames of a square that moves and brightens."""
+    frames = torch.zeros(slots + 1, 64, 128, 3, dtype=torch.uint8)
+    for slot in range(slots + 1):
+        frames[slot, 20:40, 10 + slot : 40 + slot] = 100 + 5 * slot
+    return torch.stack((frames[:-1], frames[1:]), 1)
+
+
+def test_a_stream_of_single_frames_gives_the_stacks():
+    sender, frames = StreamSender(Stacker(), Stills(make_codec("raw", frame_stack=1))), moving_square(4)
+    for slot, stack in enumerate(frames):
+        embedding, bits = sender.send(stack[None], slot == 0)
+        assert torch.equal(embedding, Stacker().encode(stack[None]))
+        assert bits.tolist() == [(2 if slot == 0 else 1) * 64 * 128 * 3 * 8]
+
+
+def test_video_needs_few_bits_after_its_key_frame_and_shows_the_frame():
+    pytest.importorskip("av")
+    video, frames = H264(20), moving_square(6)[:, 1]
+    video.start(2)
+    sent = [video.send(torch.stack((frame, 255 - frame))) for frame in frames]
+    assert all(
+        (shown[0].float() - frame.float()).abs().mean() < 6 for (shown, _), frame in zip(sent, frames, strict=True)
+    )
+    assert all(
+        (shown[1].float() + frame.float() - 255).abs().mean() < 6
+        for (shown, _), frame in zip(sent, frames, strict=True)
+    )
+    bits = torch.stack([count for _, count in sent])
+    assert (bits[1:].double().mean(0) < bits[0] / 2).all()
+
+
+def test_supplemental_information_is_not_counted():
+    unit = b"\x00\x00\x01"
+    stream = b"\x00" + unit + b"\x67ab" + unit + b"\x06name" + unit + b"\x65picture"
+    assert without_sei(stream) == unit + b"\x67ab" + unit + b"\x65picture"
+
+
+@pytest.mark.parametrize(
+    ("limit", "expected", "bound"), [(47, (39, 49), "exact"), (2, (8,), "at most"), (999, (128,), "at least")]
+)
+def test_bisection_ends_where_the_score_crosses(limit, expected, bound):
+    asked = []
+
+    def scores(size):
+        asked.append(size)
+        return [1.0 if size <= limit else 0.0] * 3
+
+    sizes = devices.sizes_between(8, 128)
+    assert sizes[0] == 8 and sizes[-1] == 128 and sizes == sorted(set(sizes))
+    curve, found = devices.bisect(scores, sizes)
+    assert found == bound
+    assert set(expected) <= set(curve)
+    assert len(asked) == len(set(asked)) <= 5
+
+
+def test_sizes_that_do_not_ascend_are_refused():
+    with pytest.raises(ValueError, match="smallest"):
+        devices.sizes_between(5, 5)
+
+
+FLEET = {"model": None, "codec": "fp32", "resource_blocks": 3, "snr_target_db": 10, "snr_threshold_db": 5.0}
+FLEET |= {"smallest": 6, "largest": 16, "also_at": 7, "seeds": 2, "slots": 100, "process_noise_std": 0.008}
+
+
+def test_a_fleet_of_a_point_is_searched_and_measured():
+    rows = {name: devices.device_rows(FLEET | {"scheduler": name}) for name in ("channel_aware", "round_robin")}
+    for mine in rows.values():
+        assert {row["seed"] for row in mine if "devices" in row} == {0, 1}
+        assert {row["num_devices"] for row in mine if "score" in row} >= {7}
+    count = {name: sum(row["devices"] for row in mine if "devices" in row) for name, mine in rows.items()}
+    assert count["channel_aware"] > count["round_robin"]
+
+
+def test_bursts_lose_the_share_that_is_asked_for():
+    point = FLEET | {"loss": 0.2, "burst_slots": 5}
+    process = devices.radio_of(point, devices.Plants(), None, None).loss
+    assert process.mean == pytest.approx(0.2)
+    assert 1 / process.bad_to_good == 5
+
+
+def test_bandwidth_scales_the_resource_units():
+    units = [devices.Radio(bandwidth_mhz=mhz).units(0.02) for mhz in (20.0, 1.0, 0.5)]
+    assert units == [2120, 106, 53]
+
+
+def test_colour_distance_of_a_blind_and_of_a_colour_encoder():
+    generator = torch.Generator().manual_seed(0)
+    state, colour = torch.randn(200, 8, generator=generator), torch.randn(2, 200, 8, generator=generator)
+    assert tsne.colour_distance(state, state) == 0
+    assert tsne.colour_distance(colour[0], colour[1]) == pytest.approx(1, abs=0.1)
+
+
+def test_neighbour_error_of_the_state_itself_and_of_noise():
+    generator = torch.Generator().manual_seed(0)
+    state, noise = torch.randn(400, 4, generator=generator), torch.randn(400, 4, generator=generator)
+    trajectory = torch.arange(400) % 20
+    assert tsne.neighbour_error(state[:, :2], state, trajectory) < 0.2
+    assert tsne.neighbour_error(noise, state, trajectory) == pytest.approx(1, abs=0.05)
