@@ -8,8 +8,8 @@ import pytest
 import tiny
 
 from tsjepa import cli
-from tsjepa.evaluation.figures.film import film
 from tsjepa.evaluation.figures import FIGURES, claims, command, module_of, store
+from tsjepa.evaluation.figures.film import film
 
 ROOT = Path(__file__).parents[3]
 RESULTS = ROOT / command.RESULTS

@@ -1,7 +1,7 @@
 """The README's animation: ``python -m tsjepa.evaluation.figures.film``.
 
-One fleet twice on the same radio, with the same plants and channels: embeddings, prediction and channel-aware scheduling
-beside raw frames and round-robin.
+One fleet twice on the same radio, with the same plants and channels: embeddings, prediction and channel-aware
+scheduling beside raw frames and round-robin.
 """
 
 from __future__ import annotations
