@@ -103,6 +103,8 @@ def usage(name: str, has_predictor: bool) -> str:
 
 def figures(metrics: dict) -> list[str]:
     """The closed loops; nothing where nobody has evaluated the model."""
+    from tsjepa.evaluation.evaluate import ANGLE_LIMIT, FIRST_SLOT
+
     rows = own_rows(metrics)
     if not rows:
         return []
@@ -122,6 +124,12 @@ def figures(metrics: dict) -> list[str]:
         f"Closed loop on {metrics['starts']} held-out starts; normalised by {metrics['optimal_policy']} with perfect "
         "feedback. All figures are in metrics.json.",
         "\n".join(lines),
+        *(
+            f"Sent once, the mean error of the probed angle passes {ANGLE_LIMIT} rad "
+            f"{'in no slot' if row[FIRST_SLOT] is None else f'first in slot {row[FIRST_SLOT]}'}."
+            for row in rows.values()
+            if FIRST_SLOT in row
+        ),
         f"Made by `{made_by['command']}` at commit {made_by['commit']}, {made_by['date']}{on}.",
     ]
 

@@ -16,7 +16,6 @@ from tsjepa.zoo import METRICS, find, load, names
 LISTED_PERIODS = (1, 5, 10)  # slots between updates
 VERIFIED_PERIODS = (1, 5)
 VERIFIED_SEEDS = 2
-TRUE_STATE_POLICIES = ("expert", "optimal")  # how the rows begin that are not the model's own
 
 
 def zoo(action: Literal["list", "verify"] = "list", name: str | None = None) -> None:
@@ -46,7 +45,8 @@ def zoo(action: Literal["list", "verify"] = "list", name: str | None = None) -> 
 def own_rows(metrics: dict) -> dict[int | str, dict]:
     """The closed loops of the model itself, by the slots between updates; none in an entry nobody has evaluated."""
     rows = metrics.get("closed_loop", [])
-    return {row["update_every"]: row for row in rows if not row["controller"].startswith(TRUE_STATE_POLICIES)}
+    # the others are the expert's, which sees the true state
+    return {row["update_every"]: row for row in rows if not row["controller"].startswith("expert")}
 
 
 def key_figures(name: str) -> dict:
@@ -129,7 +129,16 @@ def rescore(model: nn.Module, name: str) -> list[Check]:
 
     figures, interval_s = model.metrics, model.architecture.sampling_interval
     rows = {period: row for period, row in own_rows(figures).items() if period in VERIFIED_PERIODS}
-    needed = ("seeds", "starts_per_seed", "slots", "process_noise_std", "optimal_policy", "codec", "blend")
+    needed = (
+        "seeds",
+        "starts_per_seed",
+        "slots",
+        "frame_history",
+        "process_noise_std",
+        "optimal_policy",
+        "codec",
+        "blend",
+    )
     if not rows or any("per_seed" not in row for row in rows.values()) or any(key not in figures for key in needed):
         raise ValueError(f"The figures of {name} do not say how it scored: export it anew, with `tsjepa export`.")
     history = figures.get("frame_history", model.frame_history)
