@@ -100,6 +100,9 @@ def verdicts(records: list[dict]) -> dict[str, Verdict]:
         + ", ".join(said(rival, own[snr, rival]) for rival in RIVALS if (snr, rival) in own)
         for snr in snrs
     )
+    check = plots.select(rows, label=CHECK)
+    if check:
+        listed += f"; at {check[0]['snr_target_db']:g} dB and 20 MHz without scaling {plots.text(check, 'devices', 0)}"
     ahead = [mean - half > 1 for mean, half in own.values()]
     last = [
         plots.mean(of(OURS, "opportunistic", snr), "devices") < plots.mean(of(OURS, "round_robin", snr), "devices")

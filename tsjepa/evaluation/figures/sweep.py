@@ -13,6 +13,7 @@ from tsjepa.evaluation.figures import store
 from tsjepa.evaluation.figures.launchers import launch
 from tsjepa.evaluation.metrics import interval
 from tsjepa.evaluation.provenance import provenance
+from tsjepa.files import exclusive
 
 HASH_DIGITS = 12
 SLACK = 1e-3  # relative; what another processor's arithmetic may change where the interval is narrower
@@ -31,7 +32,15 @@ def run_sweep(
         points: of the sweep, in the order of the file.
         folder: of the results.
         launcher, workers: see :func:`tsjepa.evaluation.figures.launchers.launch`.
+
+    Raises:
+        FileExistsError: another process runs the same sweep into the same folder.
     """
+    with exclusive(Path(folder) / module.__name__.rpartition(".")[2]):
+        return _run(module, points, folder, launcher, workers)
+
+
+def _run(module: ModuleType, points: list[dict], folder: str | Path, launcher: str, workers: int) -> list[dict]:
     figure = module.__name__.rpartition(".")[2]
     recorded = {store.key(record["point"]): record for record in store.read(folder, figure)}
     keys = [store.key(point) for point in points]
@@ -49,18 +58,16 @@ def run_sweep(
         if not set(models_of(point)) & set(missing)
         and (key not in recorded or recorded[key]["weights"] != all_weights(point))
     ]
-    origin = provenance()
+    origin, weights = provenance(), [all_weights(point) for point in todo]
     outcomes = launch(module.__name__, todo, launcher, workers)
     for index, (rows, seconds) in tqdm(outcomes, desc=figure, total=len(todo), unit="point"):
-        recorded[store.key(todo[index])] = store.rounded(
-            {
-                "point": todo[index],
-                "rows": rows,
-                "seconds": round(seconds, 1),
-                "weights": all_weights(todo[index]),
-                "made_by": origin,
-            }
-        )
+        recorded[store.key(todo[index])] = {
+            "point": todo[index],
+            "rows": store.rounded(rows),
+            "seconds": round(seconds, 1),
+            "weights": weights[index],
+            "made_by": origin,
+        }
         store.write(folder, figure, [recorded[key] for key in keys if key in recorded])
     return [recorded[key] for key in keys if key in recorded]
 
