@@ -13,6 +13,7 @@ import tsjepa
 from tsjepa import cli, zoo
 from tsjepa.evaluation import evaluate as evaluation
 from tsjepa.evaluation import export as export_module
+from tsjepa.evaluation.evaluate import FIRST_SLOT
 from tsjepa.evaluation.export import export
 from tsjepa.evaluation.model_card import card, kind_of
 from tsjepa.evaluation.zoo_report import Check, key_figures, table
@@ -129,9 +130,10 @@ def test_other_weights_are_evaluated_anew_and_never_given_the_figures_of_others(
     assert own["model_sha256"] == zoo.fingerprint("runs/again/model") != other["model_sha256"]
 
 
-def test_names_with_folders_are_refused(evaluations):
-    with pytest.raises(ValueError, match=r"'\.\./tiny' is no name"):
-        export("runs/actor", "../tiny")
+def test_names_that_are_none_are_refused(evaluations):
+    for name in ("", ".", "..", "../tiny", "zoo/tiny", "tiny/"):
+        with pytest.raises(ValueError, match="is no name of an entry"):
+            export("runs/actor", name)
     with pytest.raises(FileNotFoundError, match="no model 'runs/absent'"):
         export("runs/absent", "tiny")
 
@@ -250,6 +252,11 @@ def test_a_card_says_what_the_figures_say():
     assert "Made by `tsjepa evaluate` at commit abc, 2026-01-01 on 2 cores of a processor." in lines
     assert 'model = tsjepa.load("tiny")' in lines
     assert "without process noise" in text
+    assert "Sent once" not in text
+    for slot, said in ((23, "first in slot 23"), (None, "in no slot")):
+        once = row(1, 0.5) | {"update_every": "once", FIRST_SLOT: slot}
+        told = card("tiny", tiny(), FIGURES | {"closed_loop": [once]})
+        assert f"Sent once, the mean error of the probed angle passes 0.05 rad {said}." in told
     assert "noise of 0.008" in card("tiny", tiny(), FIGURES | {"process_noise_std": 0.008})
 
 

@@ -34,7 +34,7 @@ def export(
         half: store weights in 16 bits, if the scores stay within their intervals.
         trained_with: words about the training for the card and metrics.json.
     """
-    if not name or Path(name).name != name:
+    if name in ("", "..") or Path(name).name != name:
         raise ValueError(f"{name!r} is no name of an entry: leave out folders, which --folder gives.")
     source = model_folder(run)
     model = zoo.load(source)
