@@ -88,7 +88,7 @@ def draw(records: list[dict], path: str | Path) -> None:
             )
     axis.axhline(ENOUGH, color="black", linewidth=0.8, linestyle=":")
     axis.set(xlabel="bits per slot", ylabel="normalised score", xscale="log", ylim=(-0.05, 1.15))
-    axis.legend(fontsize=7, loc="center left", bbox_to_anchor=(1, 0.5))
+    plots.legend(axis, fontsize=7, loc="center left", bbox_to_anchor=(1, 0.5))
     plots.save(figure, path)
 
 

@@ -55,14 +55,14 @@ def draw(records: list[dict], path: str | Path) -> None:
         groups = [(size, plots.select(rows, train_episodes=size, update_every=period)) for size in sizes]
         plots.errorbar(axes[2], groups, "score", color=color, label=f"every {period}")
     axes[2].set(ylabel="normalised score")
-    axes[2].legend(fontsize=8, title="slots")
+    plots.legend(axes[2], fontsize=8, title="slots")
     for axis in axes[:3]:
         axis.set(xlabel="training trajectories")
     for color, size in zip(plots.PALETTE, sizes, strict=False):
         curve = plots.curve(plots.select(rows, train_episodes=size, update_every=ONCE), "in_box")
         axes[3].plot([CURVE_STEP * (i + 0.5) for i in range(len(curve))], curve, color=color, label=f"{size}")
     axes[3].set(xlabel="slots since the only update", ylabel="share of starts in the box")
-    axes[3].legend(fontsize=8, title="trajectories")
+    plots.legend(axes[3], fontsize=8, title="trajectories")
     plots.save(figure, path)
 
 

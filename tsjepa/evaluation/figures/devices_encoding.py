@@ -64,7 +64,7 @@ def draw_devices(records: list[dict], path: str | Path, over: str, name: str) ->
     for axis in axes:
         axis.set_ylim(low, high)
     axes[0].set_ylabel(f"devices per 20 MHz at a score of {ACCEPTABLE}")
-    axes[0].legend(fontsize=8)
+    plots.legend(axes[0], fontsize=8)
     plots.save(figure, path)
 
 

@@ -54,7 +54,7 @@ def draw(records: list[dict], path: str | Path) -> None:
         groups = [(dimension, seeds) for dimension, seeds in groups if seeds]
         plots.errorbar(axes[2], groups, "score", color=color, label=f"every {period}")
     axes[2].set(ylabel="normalised score")
-    axes[2].legend(fontsize=8, title="slots")
+    plots.legend(axes[2], fontsize=8, title="slots")
     for axis in axes[:3]:
         axis.set(xlabel="embedding dimension", xscale="log")
         axis.set_xticks(dimensions, [str(dimension) for dimension in dimensions])
@@ -66,7 +66,7 @@ def draw(records: list[dict], path: str | Path) -> None:
             slots = [CURVE_STEP * (index + 0.5) for index in range(len(curve))]
             axes[3].plot(slots, curve, color=color, label=f"d = {dimension}")
     axes[3].set(xlabel="slots since the only update", ylabel="share of starts in the box")
-    axes[3].legend(fontsize=8)
+    plots.legend(axes[3], fontsize=8)
     plots.save(figure, path)
 
 

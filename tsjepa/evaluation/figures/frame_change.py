@@ -133,7 +133,7 @@ def draw(records: list[dict], path: str | Path) -> None:
         axis.set_xscale("symlog", linthresh=0.1)
         axis.set_xlim(left=0)
         axis.set_title("without augmentation" if augmentation == "none" else "every frame augmented by itself")
-        axis.legend(fontsize=8, title="sampling interval")
+        plots.legend(axis, fontsize=8, title="sampling interval")
     plots.save(figure, path)
 
 

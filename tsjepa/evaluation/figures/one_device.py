@@ -97,8 +97,8 @@ def draw(records: list[dict], path: str | Path) -> None:
     axes[3].set(xlabel="slots since the only update", ylabel="command NMAE")
     axes[4].set(xlabel="slots since the only update", ylabel="share of starts in the box")
     axes[5].set(xlabel="slots between updates", ylabel="normalised score", xscale="log")
-    axes[4].legend(fontsize=5)
-    axes[5].legend(fontsize=5)
+    plots.legend(axes[4], fontsize=5)
+    plots.legend(axes[5], fontsize=5)
     plots.save(figure, path)
 
 

@@ -78,6 +78,12 @@ def errorbar(axis, groups: Sequence[tuple[float, Sequence[dict]]], measure: str,
     )
 
 
+def legend(axis, **style) -> None:
+    """A legend, unless nothing is drawn yet."""
+    if axis.get_legend_handles_labels()[0]:
+        axis.legend(**style)
+
+
 def bars(axis, labels: Sequence[str], groups: Sequence[Sequence[dict]], measure: str, colors: Sequence[str]) -> None:
     """Horizontal bars of the groups' means, the first on top, with their intervals and the mean in figures."""
     spreads = [spread(rows, measure) for rows in groups]

@@ -67,7 +67,7 @@ def draw(records: list[dict], path: str | Path) -> None:
         axis.grid(axis="x", alpha=0.3)
     for color, case in zip(plots.PALETTE, cases, strict=False):
         axes[1].plot([], [], "o", color=color, label=case)
-    axes[1].legend(fontsize=7)
+    plots.legend(axes[1], fontsize=7)
     plots.save(figure, path)
 
 

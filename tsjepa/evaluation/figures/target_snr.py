@@ -97,7 +97,7 @@ def draw(records: list[dict], path: str | Path) -> None:
             plots.errorbar(axes[0], groups, "nmae", color=color, label="training thinned")
     axes[0].set(xlabel="target SNR (dB)", ylabel="command NMAE")
     axes[1].set(xlabel="target SNR (dB)", ylabel="normalised score, update sent in every slot")
-    axes[1].legend(fontsize=7)
+    plots.legend(axes[1], fontsize=7)
     plots.save(figure, path)
 
 
