@@ -157,7 +157,7 @@ def test_without_results_every_claim_is_said_to_be_unmeasured(tmp_path, capsys):
     ],
 )
 def test_wrong_options_are_answered_in_one_sentence(options, said, capsys, tmp_path):
-    assert cli.main(["figures", "--output", str(tmp_path), *options]) in (1, 2)
+    assert cli.main(["figures", "--output", str(tmp_path), *options]) == 2
     complaint = capsys.readouterr().err
     assert said in complaint and len(complaint.splitlines()) == 1
 
@@ -174,7 +174,7 @@ def test_a_small_sweep_by_the_command_and_its_check(tmp_path, capsys):
         for row in record["rows"]:
             row["median"] = 100.0
     store.write(tmp_path, "frame_change", records)
-    assert cli.main([*options, "--check", "true"]) in (1, 2)
+    assert cli.main([*options, "--check", "true"]) == 1
     assert "frame_change (median" in capsys.readouterr().err
 
 

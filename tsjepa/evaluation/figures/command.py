@@ -85,7 +85,7 @@ def redraw(module: ModuleType, folder: str | Path) -> None:
 
 
 def check_all(names: tuple[str, ...], folder: str, launcher: str) -> None:
-    """Prints recorded and repeated values; ValueError where one left its interval."""
+    """Prints recorded and repeated values; RuntimeError where one left its interval."""
     strays = []
     for name in names:
         rows = check_figure(module_of(name), store.read(folder, name), launcher)
@@ -98,4 +98,4 @@ def check_all(names: tuple[str, ...], folder: str, launcher: str) -> None:
             )
         strays += [f"{name} ({row['measure']} at {row['point']})" for row in rows if not row["agrees"]]
     if strays:
-        raise ValueError(f"These points left their recorded interval: {'; '.join(strays)}.")
+        raise RuntimeError(f"These points left their recorded interval: {'; '.join(strays)}.")
