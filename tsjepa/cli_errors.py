@@ -44,6 +44,8 @@ def explain(error: BaseException) -> str | None:
         return " ".join(str(error.args[0] if isinstance(error, KeyError) else error).split())
     if isinstance(error, ModuleNotFoundError) and not (error.name or "").startswith("tsjepa"):
         return f"the package {error.name} is not installed; `make setup` installs all that this program needs."
+    if isinstance(error, UnicodeDecodeError):
+        return f"a file that was to be read is no text in UTF-8 ({error.reason} {error.object[error.start]:#04x})."
     refused_setting = isinstance(error, ValueError) and _module_of(error).startswith(_CHECK_SETTINGS)
     if refused_setting or type(error).__name__ == "MisconfigurationException":
         return " ".join(str(error).split())
