@@ -20,13 +20,14 @@ CAPTION = (
 )
 MEASURES = ("score", "bits_per_slot")
 ENOUGH = 0.9  # normalised score at which the bits are compared
-KINDS = {  # name in the plot by what is sent
-    "state": "true state",
-    "embedding": "embedding",
-    "stack": "stack of frames",
-    "stream": "frames one by one",
-    "video": "H.264",
+STYLES = {  # by what is sent: name in the plot, colour, marker
+    "state": ("true state", plots.PALETTE[6], "*"),
+    "embedding": ("embedding", plots.PALETTE[0], "o"),
+    "stack": ("stack of frames", plots.PALETTE[1], "s"),
+    "stream": ("frames one by one", plots.PALETTE[2], "D"),
+    "video": ("H.264", plots.PALETTE[3], "^"),
 }
+SUPERVISED = "supervised-cartpole-k2"
 
 
 def points(states: list[dict], embeddings: list[dict], frames: list[dict], sizes: dict) -> list[dict]:
@@ -50,54 +51,50 @@ evaluate = loop_rows
 
 
 def draw(records: list[dict], path: str | Path) -> None:
-    """Score over bits per slot, a marker a point."""
-    figure, (axis,) = plots.canvas(width=9, height=5)
-    styles = dict(zip(KINDS, zip(plots.PALETTE, "*osD^", strict=False), strict=False))
-    groups: dict[tuple, list[dict]] = {}
+    """Score over bits per slot, a marker a point; hollow where the frames go into TS-JEPA, or slots are left out."""
+    figure, (axis,) = plots.canvas(width=9.5, height=5.5)
+    named = set()
     for record in records:
         point = record["point"]
-        every = "" if point["update_every"] == 1 else f", every {point['update_every']} slots"
-        name = (
-            KINDS[point["sends"]] + (f" → {point['model']}" if point["sends"] not in ("state", "embedding") else ""),
-            every,
+        name, color, marker = STYLES[point["sends"]]
+        hollow = point["update_every"] > 1 or (point["sends"] in ("stack", "stream", "video") and not supervised(point))
+        name += "" if not hollow else " into TS-JEPA" if point["update_every"] == 1 else ", slots left out"
+        bits = plots.mean(record["rows"], "bits_per_slot")
+        score, half = plots.spread(record["rows"], "score")
+        axis.errorbar(
+            bits,
+            score,
+            half,
+            color=color,
+            marker=marker,
+            markerfacecolor="white" if hollow else color,
+            markersize=5,
+            elinewidth=0.8,
+            linestyle="",
+            label=None if name in named else name,
         )
-        groups.setdefault((point["sends"], *name), []).append(record)
-    for index, ((sends, name, every), members) in enumerate(groups.items()):
-        color, marker = styles[sends]
-        filled = index % 2 == 0
-        for number, record in enumerate(members):
-            score, half = plots.spread(record["rows"], "score")
-            axis.errorbar(
-                plots.mean(record["rows"], "bits_per_slot"),
-                score,
-                half,
-                color=color,
-                marker=marker,
-                markerfacecolor=color if filled else "white",
-                linestyle="",
-                markersize=5,
-                elinewidth=0.8,
-                label=name + every if number == 0 else None,
-            )
-            axis.annotate(
-                short_name(record["point"]),
-                (plots.mean(record["rows"], "bits_per_slot"), score),
-                xytext=(4, 3),
-                textcoords="offset points",
-                fontsize=5,
-            )
+        named.add(name)
+        axis.annotate(
+            short_name(point), (bits, score), xytext=(4, 3), textcoords="offset points", fontsize=5, color=color
+        )
     axis.axhline(ENOUGH, color="black", linewidth=0.8, linestyle=":")
     axis.set(xlabel="bits per slot", ylabel="normalised score", xscale="log", ylim=(-0.05, 1.15))
     plots.legend(axis, fontsize=7, loc="center left", bbox_to_anchor=(1, 0.5))
     plots.save(figure, path)
 
 
+def supervised(point: dict) -> bool:
+    """Whether frames go into the supervised controller."""
+    return point["model"] == SUPERVISED
+
+
 def short_name(point: dict) -> str:
-    """Codec and quality of a point, with the dimension where it is in the model's name."""
+    """Codec, quality and period of a point, with the dimension where it is in the model's name."""
     dimension = point["model"].rpartition("-")[2] if point["sends"] == "embedding" and "-d" in point["model"] else ""
     quality = "" if point.get("quality") is None else f" {point['quality']}"
     codec = "crf" if point["sends"] == "video" else point["codec"]
-    return f"{dimension} {codec}{quality}".strip()
+    every = "" if point["update_every"] == 1 else f", every {point['update_every']}"
+    return f"{dimension} {codec}{quality}{every}".strip()
 
 
 def cheapest(records: list[dict], *sends: str, codec: str | None = None) -> dict | None:

@@ -48,7 +48,7 @@ def draw(records: list[dict], path: str | Path) -> None:
 def draw_devices(records: list[dict], path: str | Path, over: str, name: str) -> None:
     """A panel a label: devices over a field of the points, a line a scheduler."""
     rows = [row for row in flat(records) if "devices" in row]
-    labels = plots.distinct(rows, "label")
+    labels = [label for label in plots.distinct(rows, "label") if label != CHECK] or [CHECK]
     schedulers = plots.distinct(rows, "scheduler")
     figure, axes = plots.canvas(columns=len(labels), width=3.6)
     for axis, label in zip(axes, labels, strict=True):
@@ -57,6 +57,10 @@ def draw_devices(records: list[dict], path: str | Path, over: str, name: str) ->
             groups = [(x, plots.select(shown, **{over: x})) for x in sorted(plots.distinct(shown, over))]
             if groups:
                 plots.errorbar(axis, groups, "devices", color=color, label=scheduler)
+        check = plots.select(rows, label=CHECK)
+        if check and label == OURS:
+            groups = [(check[0][over], check)]
+            plots.errorbar(axis, groups, "devices", color="black", markerfacecolor="white", label="not scaled")
         axis.set(xlabel=name, yscale="log")
         axis.set_title(label, fontsize=10)
         axis.grid(axis="y", which="both", alpha=0.2)

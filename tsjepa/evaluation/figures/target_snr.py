@@ -20,7 +20,7 @@ CAPTION = (
     "in every slot, and TS-JEPA predicts where one is. All data: trained on all 180."
 )
 MEASURES = ("score", "nmae")
-LOSSLESS, LOSSY = "none lost", "in the loop"
+LOSSLESS, LOSSY = "no update lost", "updates lost"
 CASES = (("thinned", LOSSLESS), ("thinned", LOSSY), ("all data", LOSSY))
 
 
@@ -92,9 +92,9 @@ def draw(records: list[dict], path: str | Path) -> None:
         snrs = sorted(plots.distinct(rows, "snr_target_db"))
         groups = [(snr, plots.select(rows, snr_target_db=snr)) for snr in snrs]
         if groups:
-            plots.errorbar(axes[1], groups, "score", color=color, label=f"training {data}, updates {loop}")
+            plots.errorbar(axes[1], groups, "score", color=color, label=f"{data} in training, {loop}")
         if groups and loop == LOSSLESS:
-            plots.errorbar(axes[0], groups, "nmae", color=color, label="training thinned")
+            plots.errorbar(axes[0], groups, "nmae", color=color, label="thinned in training")
     axes[0].set(xlabel="target SNR (dB)", ylabel="command NMAE")
     axes[1].set(xlabel="target SNR (dB)", ylabel="normalised score, update sent in every slot")
     plots.legend(axes[1], fontsize=7)
