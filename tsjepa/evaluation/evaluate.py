@@ -25,7 +25,6 @@ from tsjepa.network.codecs import payload_bits
 
 STATE_BITS = 4 * 32
 RAW_FRAME_BITS = 8 * 3 * 64 * 128
-FRAME_HISTORY = 4  # slots up to step 0 under zero force: what the longest stack needs, so that all meet the same starts
 ANGLE_LIMIT = 0.05  # rad; a prediction whose probed angle is further off counts as lost
 FIRST_SLOT = f"first_slot_angle_error_above_{ANGLE_LIMIT}"
 LABELS = {"tsjepa": "TS-JEPA", "supervised": "supervised", "autoencoder": "autoencoder"}
@@ -39,6 +38,7 @@ def evaluate(
     seeds: int = 5,
     starts_per_seed: int = 20,
     slots: int = 100,
+    frame_history: int = 1,
     process_noise_std: float = 0.0,
     blend: float = 1.0,
     codec: Literal["fp32", "fp16", "int8", "int4"] = "fp32",
@@ -55,6 +55,8 @@ def evaluate(
         seeds: sets of starts, at least 2 (5 for figures that are reported).
         starts_per_seed: starts in each.
         slots: length of a run.
+        frame_history: frames up to step 0, the warm-up under zero force; at least those of the model's stack. Models of
+            different stacks meet the same starts with the longest one's (4 for the supervised baseline's).
         process_noise_std: standard deviation of the noise on both velocities after every slot (m/s, rad/s).
         blend: how much of a received embedding enters the belief; 1 replaces the prediction.
         codec: how an embedding is sent; the integer ones need ranges that travel with the model.
@@ -65,14 +67,14 @@ def evaluate(
     from tsjepa.envs.expert import Expert, reference_lqr
 
     at_least(2, seeds=seeds)
-    at_least(1, starts_per_seed=starts_per_seed, slots=slots)
+    at_least(1, starts_per_seed=starts_per_seed, slots=slots, frame_history=frame_history)
     at_least(0, process_noise_std=process_noise_std, **{f"periods[{i}]": period for i, period in enumerate(periods)})
     within(0, 1, blend=blend)
     controller = tsjepa.load(model)
     if data is not None:
         read_metadata(data)  # a missing data set is said before the loops are run
     architecture, own = controller.architecture, LABELS[kind_of(controller)]
-    frame_history = max(FRAME_HISTORY, controller.frame_history)
+    frame_history = max(frame_history, controller.frame_history)
     interval_s = architecture.sampling_interval
     renderer, expert = Renderer(), Expert(interval_s)
     radio = embedding_codec(codec, controller)
