@@ -1,5 +1,6 @@
 import pytest
 import torch
+from torch.nn import functional as F
 
 from tsjepa.models import Architecture, SemanticController
 from tsjepa.models.decoder import Decoder
@@ -49,13 +50,17 @@ def test_the_decoder_learns_to_draw_what_the_embedding_tells_and_repeats_itself(
     assert (drawn[0] - truth).square().mean() < 0.6 * (background - truth).square().mean()
 
 
-def test_the_reconstruction_loss_is_measured_in_units_of_contrast():
+def test_the_reconstruction_loss_is_the_squared_error_in_units_of_contrast():
     decoder = Decoder(D, channels=(16, 16, 8, 8))
     decoder.background.fill_(100)
     decoder.contrast.fill_(50)
-    patches = torch.full((2, 16, 32, 48), 150, dtype=torch.uint8)
-    loss = reconstruction_loss(decoder, torch.full((2, 16, 32, 48), 0.5), patches)
-    torch.testing.assert_close(loss, torch.tensor(0.25))
+    generator = torch.Generator().manual_seed(0)
+    patches = torch.randint(0, 256, (2, 16, 32, 48), dtype=torch.uint8, generator=generator)
+    drawn = torch.randn(2, 16, 32, 48, generator=generator).requires_grad_()
+    expected = F.mse_loss(drawn, (patches.float() - 100) / 50)
+    loss = reconstruction_loss(decoder, drawn, patches)
+    torch.testing.assert_close(loss, expected)
+    torch.testing.assert_close(torch.autograd.grad(3 * loss, drawn), torch.autograd.grad(3 * expected, drawn))
 
 
 def test_a_controller_whose_decoder_nobody_trained_says_so_and_else_draws_one_frame():

@@ -83,8 +83,8 @@ class Autoencoder(lightning.LightningModule):
         encoder, decoder = self.model.encoder, self.model.decoder
         device = patches.device.type
         dtype = torch.get_autocast_dtype(device) if torch.is_autocast_enabled(device) else torch.float32
-        scale, shift = encoder.pixel_scale.to(dtype), encoder.pixel_shift.to(dtype)
-        embedding = encoder.embed(torch.addcmul(shift, patches.to(dtype), scale))
+        patches, scale, shift = patches.to(dtype), encoder.pixel_scale.to(dtype), encoder.pixel_shift.to(dtype)
+        embedding = encoder.embed(torch.addcmul(shift, patches, scale))
         return reconstruction_loss(decoder, decoder.draw(embedding), patches)
 
     def training_step(self, batch: TensorDictBase, batch_index: int) -> Tensor:
@@ -182,7 +182,7 @@ class FitEstimator(lightning.Callback):
 
     def __init__(
         self,
-        steps: int = 3000,
+        steps: int = 2000,
         batch_size: int = 256,
         learning_rate: float = 3e-3,
         weight_decay: float = 1e-2,

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import lightning
 import torch
 from torch import Tensor
-from torch.nn import functional as F
 from tqdm import trange
 
 from tsjepa.models.decoder import Decoder
@@ -33,14 +32,36 @@ def look_around(decoder: Decoder, frames: Tensor, contrast_floor: float = 10.0, 
     decoder.fitted.fill_(True)
 
 
+class MeanSquare(torch.autograd.Function):
+    """Mean square of the difference of two tensors, the second one constant.
+
+    On 16-bit tensors on a CPU it takes half of ``F.mse_loss``'s time, and there are more numbers here than in a layer.
+    """
+
+    @staticmethod
+    def forward(context, drawn: Tensor, target: Tensor) -> Tensor:
+        difference = drawn - target
+        context.save_for_backward(difference)
+        return torch.linalg.vector_norm(difference, dtype=torch.float32).square() / difference.numel()
+
+    @staticmethod
+    def backward(context, gradient: Tensor) -> tuple[Tensor, None]:
+        (difference,) = context.saved_tensors
+        return difference * (2 * gradient / difference.numel()).to(difference.dtype), None
+
+
 def reconstruction_loss(decoder: Decoder, drawn: Tensor, patches: Tensor) -> Tensor:
-    """Mean squared error of ``drawn`` to uint8 ``patches`` [N, H / 4, W / 4, channels], in units of contrast."""
-    # without autocast, which would widen to 32 bits: there are more numbers here than in any layer
-    with torch.autocast(drawn.device.type, enabled=False):
-        scale = 1 / decoder.contrast
-        shift = -decoder.background * scale
-        target = torch.addcmul(shift.to(drawn.dtype), patches.to(drawn.dtype), scale.to(drawn.dtype))
-        return F.mse_loss(drawn, target)
+    """Mean squared error of what ``decoder`` has drawn, in units of contrast.
+
+    Args:
+        decoder: whose background and contrast count.
+        drawn: [N, H / 4, W / 4, channels], what :meth:`Decoder.draw` gave.
+        patches: the true frames in the same shape, in 0..255 and of any dtype.
+    """
+    scale = 1 / decoder.contrast
+    shift = -decoder.background * scale
+    target = torch.addcmul(shift.to(drawn.dtype), patches.to(drawn.dtype), scale.to(drawn.dtype))
+    return MeanSquare.apply(drawn, target)
 
 
 def fit_decoder(
