@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from tsjepa.checks import at_least, within
 from tsjepa.evaluation.closed_loop import Starts
 from tsjepa.network import Deployment, GilbertElliott, IidLoss, units_per_slot
+from tsjepa.network.simulation import check_csi
 
 
 @dataclass(frozen=True)
@@ -47,6 +48,7 @@ class Radio:
     lossless: bool = False
 
     def __post_init__(self) -> None:
+        check_csi(self.csi, self.csi_delay)
         at_least(0, max_doppler_hz=self.max_doppler_hz)
         within(-200, 200, tx_power_dbm=self.tx_power_dbm, snr_threshold_db=self.snr_threshold_db)
         if self.snr_target_db is not None:
