@@ -80,12 +80,15 @@ def work(fitted):
     os.chdir(before)
 
 
-quick = settings(max_examples=8, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def tries(command: str):
+    """As many examples as a second or so allows: Lightning's parser takes long to build."""
+    examples = 3 if command in cli.LIGHTNING_COMMANDS else 10
+    return settings(max_examples=examples, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
 @pytest.mark.parametrize("command", [*cli.LIGHTNING_COMMANDS, *cli.COMMANDS])
 def test_options_that_there_are_not(work, command):
-    @quick
+    @tries(command)
     @given(words.filter(lambda word: word.isidentifier()), words)
     def check(name, value):
         refused(command, f"--{name}x", value)
@@ -95,7 +98,7 @@ def test_options_that_there_are_not(work, command):
 
 @pytest.mark.parametrize("command", [*cli.LIGHTNING_COMMANDS, *cli.COMMANDS])
 def test_recipes_that_are_none(work, tmp_path, command):
-    @quick
+    @tries(command)
     @given(st.binary(max_size=60) | words.map(str.encode) | st.sampled_from([b"- a", b"3", b"{", b"a: !!python/none"]))
     def check(content):
         path = tmp_path / "recipe.yaml"
@@ -117,7 +120,7 @@ def test_values_are_taken_or_refused(work, monkeypatch, command):
     monkeypatch.setattr(cli, "exclusive", lambda folder: contextlib.nullcontext())
     base = ["--config", RECIPES[command]] if command in RECIPES else []
 
-    @quick
+    @tries(command)
     @given(st.sampled_from(list(inspect.signature(function).parameters)), st.sampled_from(GARBAGE) | words)
     def check(option, value):
         arguments = (command, *base, f"--{option}={value}")
@@ -130,7 +133,7 @@ def test_values_are_taken_or_refused(work, monkeypatch, command):
 
 @pytest.mark.parametrize("command", cli.LIGHTNING_COMMANDS)
 def test_settings_of_a_fit_of_the_wrong_type(work, command):
-    @quick
+    @tries(command)
     @given(st.sampled_from(list(paths(yaml.safe_load(Path(RECIPE).read_text())))), st.sampled_from(NEVER))
     def check(path, value):
         refused(command, "--config", RECIPE, f"--{path}={value}")
