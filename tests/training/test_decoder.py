@@ -21,16 +21,29 @@ def squares():
     return torch.eye(D)[place], frames, background
 
 
-def test_the_background_is_the_frame_without_what_moves_and_contrast_is_where_it_moves(squares):
+def test_the_background_is_the_frame_without_what_moves(squares):
     _, frames, background = squares
     decoder = Decoder(D, frame_stack=2, channels=(16, 16, 8, 8))
-    look_around(decoder, frames, contrast_floor=5.0)
-    drawn = unpatchify(decoder.background[None])[0]
-    contrast = unpatchify(decoder.contrast[None])[0]
-    torch.testing.assert_close(drawn, background.float().expand(2, 64, 128, 3))
-    # column 3 is covered in one of the eight places
-    torch.testing.assert_close(contrast[:, 30, 3], ((255 - background[30, 3].float()) * 8**-0.5).expand(2, 3))
-    assert (contrast[:, :20] == 5).all()
+    look_around(decoder, frames)
+    torch.testing.assert_close(unpatchify(decoder.background[None])[0], background.float().expand(2, 64, 128, 3))
+
+
+@pytest.mark.parametrize(("floor", "expected"), [(5.0, 50 / 5**0.5), (30.0, 30.0)])
+def test_contrast_is_the_distance_to_the_background_or_its_floor(floor, expected):
+    frames = torch.full((10, 64, 128, 3), 100, dtype=torch.uint8)
+    frames[::5] += 50
+    decoder = Decoder(D, channels=(16, 16, 8, 8))
+    look_around(decoder, frames, contrast_floor=floor)
+    torch.testing.assert_close(decoder.contrast, torch.full((16, 32, 48), expected))
+
+
+def test_contrast_falls_off_smoothly_around_what_moves(squares):
+    decoder = Decoder(D, channels=(16, 16, 8, 8))
+    look_around(decoder, squares[1], contrast_floor=1.0)
+    column = unpatchify(decoder.contrast[None])[0, 0, :, 64, 0]
+    # the squares cover rows 20 to 43, and a row more or less within reach changes the mean square by a seventeenth
+    assert (column.square().diff().abs() <= column.square().max() / 17 + 1e-3).all()
+    assert (column[:12] == 1).all() and (column[52:] == 1).all() and (column[28:36] == column[28:36].max()).all()
 
 
 def test_the_decoder_learns_to_draw_what_the_embedding_tells_and_repeats_itself(squares):

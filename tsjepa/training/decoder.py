@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import lightning
 import torch
 from torch import Tensor
+from torch.nn import functional as F
 from tqdm import trange
 
 from tsjepa.models.decoder import Decoder
@@ -14,21 +15,26 @@ from tsjepa.models.encoder import patchify
 from tsjepa.training.embeddings import embed_split
 from tsjepa.training.schedule import warmup_cosine_schedule
 
+SMOOTHING = 17  # pixels, about the cart's width
 
-def look_around(decoder: Decoder, frames: Tensor, contrast_floor: float = 10.0, count: int = 301) -> None:
-    """Sets the decoder's background to the median frame, its contrast to each pixel's mean distance from it.
+
+def look_around(decoder: Decoder, frames: Tensor, contrast_floor: float = 10.0, count: int = 500) -> None:
+    """Sets the decoder's background to the median frame, its contrast to how far frames are from it thereabouts.
+
+    The contrast is smooth, because the decoder's convolutions draw a cart alike wherever it is.
 
     Args:
         decoder: of any number of frames, all of which get the same background.
-        frames: uint8 [N, H, W, 3], of which ``count`` are looked at.
-        contrast_floor: least contrast, of 255; a higher one lets rarely covered pixels weigh less.
+        frames: uint8 [N, H, W, 3], of which at least ``count`` are looked at.
+        contrast_floor: least contrast, of 255; a higher one lets rarely covered regions weigh less.
     """
-    some = patchify(frames[:: max(1, len(frames) // count)][:, None])
-    background = some.median(0).values.float()
-    contrast = (some - background).square().mean(0).sqrt().clamp_min(contrast_floor)
-    frame_stack = decoder.background.shape[-1] // background.shape[-1]
-    decoder.background.copy_(background.repeat(1, 1, frame_stack))
-    decoder.contrast.copy_(contrast.repeat(1, 1, frame_stack))
+    some = frames[:: max(1, len(frames) // count)]
+    background = some.median(0).values
+    squares = torch.stack([(frame.float() - background).square().mean(-1) for frame in some]).mean(0)
+    around = F.avg_pool2d(squares[None, None], SMOOTHING, 1, SMOOTHING // 2, count_include_pad=False)[0, 0]
+    contrast = around.sqrt().clamp_min(contrast_floor)[..., None].expand_as(background)
+    for buffer, frame in ((decoder.background, background), (decoder.contrast, contrast)):
+        buffer.copy_(patchify(frame.expand(1, decoder.frame_stack, *frame.shape))[0])
     decoder.fitted.fill_(True)
 
 
