@@ -182,3 +182,13 @@ def test_neighbour_error_of_the_state_itself_and_of_noise():
     trajectory = torch.arange(400) % 20
     assert tsne.neighbour_error(state[:, :2], state, trajectory) < 0.2
     assert tsne.neighbour_error(noise, state, trajectory) == pytest.approx(1, abs=0.05)
+
+
+def test_a_map_holds_the_trajectories_and_the_marked_pairs():
+    pytest.importorskip("sklearn")
+    (point,) = tsne.points({"TS-JEPA": "tsjepa-cartpole"}, 2, trajectories=4, slots=12, every=1, pairs=12, marked=3)
+    rows = tsne.evaluate(point)
+    assert len(rows[0]["position"]) == 4 * 12
+    assert len(rows[0]["x"]) == len(rows[0]["y"]) == 4 * 12 + 2 * 3
+    assert "x" not in rows[1]
+    assert all(row["colour_distance"] > 0 and 0 < row["neighbour_error"] < 1 for row in rows)
