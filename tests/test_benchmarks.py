@@ -43,8 +43,8 @@ def test_training_step(tmp_path):
 
 
 def test_memory(tmp_path):
-    result = run("memory.py", tmp_path, "--devices", "200", "--slots", "1000")
-    assert result["episodes"] == 2000
+    result = run("memory.py", tmp_path, "--devices", "50", "--slots", "600")
+    assert result["episodes"] == 300
     assert result["growth_percent"] < 2
 
 
