@@ -81,8 +81,8 @@ def work(fitted):
 
 
 def tries(command: str):
-    """As many examples as a second or so allows: Lightning's parser takes long to build."""
-    examples = 3 if command in cli.LIGHTNING_COMMANDS else 10
+    """As many examples as a second allows; Lightning's commands share one parser, which takes long to build."""
+    examples = 4 if command == "fit" else 1 if command in cli.LIGHTNING_COMMANDS else 10
     return settings(max_examples=examples, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 

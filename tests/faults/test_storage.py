@@ -1,11 +1,13 @@
 """Full disks, read-only folders, two processes in one folder, and data that is damaged or makes no sense."""
 
+import contextlib
 import json
 import os
 import re
 import resource
 import shutil
 import subprocess
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -27,9 +29,18 @@ EXPORT = ("export", str(RUN), "tiny")
 @pytest.fixture
 def file_size_limit():
     """Lets no file grow beyond so many bytes, which is how a disk that is full answers; for every user."""
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    yield lambda size: resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
-    resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+    @contextlib.contextmanager
+    def limit(size: int) -> Iterator[None]:
+        # no longer than the command: the file that pytest's own report goes to may be beyond it
+        before = resource.getrlimit(resource.RLIMIT_FSIZE)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+        try:
+            yield
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+    return limit
 
 
 @pytest.fixture
@@ -99,8 +110,8 @@ def test_a_disk_that_fills_up_meanwhile_is_named(home, command, small_disk, monk
 
 def test_a_checkpoint_that_does_not_fit_leaves_the_one_before(home, command, file_size_limit):
     before = contents(home / RUN / "checkpoints")
-    file_size_limit(50_000)
-    status, complaint = command("fit", "--config", RECIPE, "--ckpt_path", "last", "--trainer.max_epochs", "3")
+    with file_size_limit(50_000):
+        status, complaint = command("fit", "--config", RECIPE, "--ckpt_path", "last", "--trainer.max_epochs", "3")
     assert status == 1 and ".ckpt could not be written (File too large)" in complaint
     assert "--ckpt_path last" in complaint
     assert contents(home / RUN / "checkpoints") == before
@@ -118,8 +129,8 @@ def test_a_checkpoint_on_a_full_disk_leaves_the_one_before(small_disk):
 def test_an_entry_that_does_not_fit_leaves_the_one_before(evaluation, home, command, file_size_limit):
     assert command(*EXPORT)[0] == 0
     before = contents(home / "checkpoints")
-    file_size_limit(2_000)
-    status, complaint = command(*EXPORT)
+    with file_size_limit(2_000):
+        status, complaint = command(*EXPORT)
     assert status == 1 and "could not be written to checkpoints/tiny" in complaint
     assert contents(home / "checkpoints") == before
 
