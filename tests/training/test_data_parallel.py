@@ -33,7 +33,7 @@ def home(tmp_path, monkeypatch):
     # Adam would blow up the last digit of a gradient that is almost zero
     recipe["model"]["init_args"]["optimizer"] = {
         "class_path": "torch.optim.SGD",
-        "init_args": {"lr": 0.1, "momentum": 0.9},
+        "init_args": {"lr": 0.01, "momentum": 0.9},
     }
     recipe["trainer"] |= {"precision": "32-true", "max_epochs": -1, "max_steps": STEPS, "limit_val_batches": 0}
     recipe["trainer"] |= {"accelerator": "cpu", "callbacks": [], "enable_checkpointing": False, "logger": False}
