@@ -78,9 +78,7 @@ def card(name: str, model: nn.Module, metrics: dict) -> str:
         LIMITS.format(
             stack=architecture.frame_stack,
             interval=interval_ms * architecture.frame_spacing,
-            noise=f"with noise of {noise:g} on both velocities after every slot"
-            if noise
-            else "without process noise",
+            noise=f"with noise of {noise:g} on both velocities after every slot" if noise else "without process noise",
         ),
     ]
     return "\n\n".join(sections) + "\n"
