@@ -52,6 +52,12 @@ def test_windows_stay_inside_their_trajectories():
         assert (window.start + 3 * window.step).max() <= 29
 
 
+def test_a_share_of_the_windows_begins_where_the_trajectory_begins():
+    starts = torch.cat([window.start for window in sampler(episodes=4000, steps=(1,), start_share=0.25)])
+    at_the_start = (starts == 2).double().mean()  # 0.25, and one in 25 of the others: 0.28
+    assert abs(at_the_start - 0.28) < 4 * (0.28 * 0.72 / len(starts)) ** 0.5
+
+
 def test_an_epoch_is_a_function_of_seed_and_epoch():
     def draws(epoch, **changes):
         drawn = sampler(**changes)

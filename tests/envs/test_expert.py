@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 import scipy.linalg
 import torch
+from tensordict.nn import TensorDictModule
 
 import tsjepa  # noqa: F401  (chooses the GL backend before mujoco is imported)
+from tsjepa.envs import FleetEnv
 from tsjepa.envs.expert import POLE_INERTIA, Expert, linearised_plant, lqr_gain, reference_lqr
 
 mujoco = pytest.importorskip("mujoco")
@@ -184,3 +186,11 @@ def test_rejects_bad_input(state, set_point, message):
 def test_rejects_bad_sampling_interval(sampling_interval):
     with pytest.raises(ValueError, match="positive number of seconds"):
         Expert(sampling_interval)
+
+
+def test_is_a_policy_for_environments():
+    fleet = FleetEnv(4, frame_history=2, episode_length=100, seed=3, terminate_on_failure=False)
+    policy = TensorDictModule(Expert(), in_keys=["state"], out_keys=["action"])
+    rollout = fleet.rollout(100, policy)
+    assert torch.equal(rollout["action"], Expert()(rollout["state"]))
+    assert (rollout["next", "state"][:, -1, :2].abs() < 0.05).all()  # [devices, slots, 4]: all in the box at the end

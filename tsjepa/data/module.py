@@ -34,6 +34,8 @@ class Trajectories(lightning.LightningDataModule):
         episodes: use only the first so many trajectories of every split; None for all.
         splits: of the data set that are trained on.
         seed: seed of the windows' own stream.
+        start_share: share of the windows that begin where a trajectory begins (see
+            :func:`~tsjepa.training.refine.refine_predictor` for why).
     """
 
     def __init__(
@@ -48,6 +50,7 @@ class Trajectories(lightning.LightningDataModule):
         episodes: int | None = None,
         splits: Sequence[str] = ("train",),
         seed: int = 0,
+        start_share: float = 0.0,
     ) -> None:
         super().__init__()
         at_least(
@@ -63,7 +66,7 @@ class Trajectories(lightning.LightningDataModule):
         self.path, self.recipe = Path(path), collect
         self.frame_stack, self.frame_spacing, self.stacks = frame_stack, frame_spacing, stacks
         self.frames_per_batch, self.steps, self.episodes, self.seed = frames_per_batch, steps, episodes, seed
-        self.splits = tuple(splits)
+        self.splits, self.start_share = tuple(splits), start_share
 
     @property
     def first_slot(self) -> int:
@@ -96,7 +99,16 @@ class Trajectories(lightning.LightningDataModule):
         rank, world_size = (self.trainer.global_rank, self.trainer.world_size) if self.trainer else (0, 1)
         windows = self.frames_per_batch // self.stacks
         sampler = WindowSampler(
-            episodes, frames, self.first_slot, self.stacks, windows, self.steps, self.seed, rank, world_size
+            episodes,
+            frames,
+            self.first_slot,
+            self.stacks,
+            windows,
+            self.steps,
+            self.seed,
+            rank,
+            world_size,
+            self.start_share,
         )
         dataset = WindowDataset(splits, self.stacks, self.frame_stack, self.frame_spacing)
         return DataLoader(dataset, sampler=sampler, batch_size=None, collate_fn=as_is)

@@ -43,6 +43,7 @@ class WindowSampler(Sampler[Window]):
         steps: the steps to draw from, each as likely as it is listed.
         seed: seed of the sampler's own stream.
         rank, world_size: this process among all.
+        start_share: share of the windows that begin where the trajectory begins; the others begin anywhere.
     """
 
     def __init__(
@@ -56,6 +57,7 @@ class WindowSampler(Sampler[Window]):
         seed: int,
         rank: int = 0,
         world_size: int = 1,
+        start_share: float = 0.0,
     ) -> None:
         span = max(steps) * (stacks - 1)
         if first + span >= frames:
@@ -67,7 +69,7 @@ class WindowSampler(Sampler[Window]):
             raise ValueError(f"{windows_per_batch} windows a batch do not divide among {world_size} processes.")
         self.episodes, self.frames, self.first, self.stacks = episodes, frames, first, stacks
         self.windows_per_batch, self.steps, self.seed = windows_per_batch, list(steps), seed
-        self.rank, self.world_size = rank, world_size
+        self.rank, self.world_size, self.start_share = rank, world_size, start_share
         self.epoch = 0
 
     def set_epoch(self, epoch: int) -> None:
@@ -85,6 +87,8 @@ class WindowSampler(Sampler[Window]):
             last = self.frames - step * (self.stacks - 1)
             episode = torch.randint(self.episodes, (self.windows_per_batch,), generator=generator)
             start = torch.randint(self.first, last, (self.windows_per_batch,), generator=generator)
+            if self.start_share:
+                start[torch.rand(self.windows_per_batch, generator=generator) < self.start_share] = self.first
             yield Window(episode[self.rank :: self.world_size], start[self.rank :: self.world_size], step)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import torch
+from torch import nn
 
 CART_MASS = 1.0
 POLE_MASS = 0.1
@@ -76,8 +77,11 @@ def lqr_gain(sampling_interval: float, state_weights: tuple[float, ...], force_w
     return torch.linalg.solve(force_weight + b.T @ cost @ b, b.T @ cost @ a)[0]
 
 
-class ClippedLQR:
+class ClippedLQR(nn.Module):
     """Linear-quadratic regulator whose position error is clipped, so that a far set point cannot topple the pole.
+
+    A policy like the learned ones: ``TensorDictModule(Expert(), in_keys=["state"], out_keys=["action"])`` drives an
+    environment.
 
     Args:
         gain: K [4], for u = -K (clip(x - x_d), theta, x_dot, theta_dot).
@@ -85,10 +89,11 @@ class ClippedLQR:
     """
 
     def __init__(self, gain: torch.Tensor, position_clip: float) -> None:
-        self.gain = gain
+        super().__init__()
+        self.register_buffer("gain", gain)
         self.position_clip = position_clip
 
-    def __call__(self, state: torch.Tensor, set_point: float | torch.Tensor = 0.0) -> torch.Tensor:
+    def forward(self, state: torch.Tensor, set_point: float | torch.Tensor = 0.0) -> torch.Tensor:
         """Compute the command.
 
         Args:
