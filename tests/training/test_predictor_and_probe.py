@@ -51,6 +51,21 @@ def test_rollouts_can_all_begin_at_the_starts(embedded):
     assert all(parameter.isfinite().all() for parameter in predictor.parameters())
 
 
+def test_a_share_of_the_rollouts_is_taken_from_the_starts(embedded):
+    def refined(share, starts):
+        torch.manual_seed(0)
+        predictor = Predictor(D, 8)
+        sizes = {"steps": 3, "horizon": 5, "batch_size": 16, "learning_rate": 1e-3, "seed": 0}
+        refine_predictor(predictor, embedded, **sizes, start_share=share, starts=starts)
+        return all(bool(parameter.isfinite().all()) for parameter in predictor.parameters())
+
+    unusable = embedded[:, :10].clone()
+    unusable["embedding"] *= float("nan")
+    assert refined(0.0, unusable)
+    assert not refined(0.25, unusable)
+    assert refined(0.25, embedded[:, :10])
+
+
 def test_refining_over_more_slots_than_there_are_is_refused(embedded):
     with pytest.raises(ValueError, match="30 slots does not fit into trajectories of 30"):
         refine_predictor(Predictor(D, 8), embedded, steps=1, horizon=30, batch_size=1, learning_rate=1e-3, seed=0)

@@ -5,9 +5,10 @@ from __future__ import annotations
 import lightning
 import torch
 from tensordict import TensorDictBase
-from torch import nn
+from torch import Tensor, nn
 from tqdm import trange
 
+from tsjepa.data.storage import open_split
 from tsjepa.models.predictor import rollout
 from tsjepa.training.embeddings import embed_split
 from tsjepa.training.losses import cosine_loss
@@ -23,6 +24,7 @@ def refine_predictor(
     learning_rate: float,
     seed: int,
     start_share: float = 0.0,
+    starts: TensorDictBase | None = None,
     precision: torch.dtype = torch.bfloat16,
 ) -> None:
     """Trains the predictor in place with the same cosine loss over auto-regressive roll-outs.
@@ -38,24 +40,29 @@ def refine_predictor(
         start_share: share of the roll-outs that begin where a trajectory begins; the others begin anywhere. A pair of
             frames does not tell what force acted between them: at a start it was none, later it was the expert's, and
             uniform roll-outs make the predictor take the expert's for granted.
+        starts: many short trajectories [episodes, slots], from anywhere in which that share is taken instead: a
+            predictor of 256 numbers learns the few starts of ``embedded`` by heart.
         precision: autocast dtype of the roll-out.
     """
-    embedding, action = embedded["embedding"], embedded["action"]
-    episodes, slots = embedded.batch_size
-    if horizon >= slots:
-        raise ValueError(f"A horizon of {horizon} slots does not fit into trajectories of {slots}; take a shorter one.")
+    for part in (embedded, starts):
+        if part is not None and horizon >= part.shape[1]:
+            raise ValueError(
+                f"A horizon of {horizon} slots does not fit into trajectories of {part.shape[1]}; take a shorter one."
+            )
     generator = torch.Generator().manual_seed(seed)
     optimizer = torch.optim.AdamW(predictor.parameters(), learning_rate, weight_decay=1e-4)
     schedule = warmup_cosine_schedule(optimizer, steps)
     progress = trange(steps, desc="refine predictor", unit="step")
     for _ in progress:
-        episode = torch.randint(episodes, (batch_size, 1), generator=generator).to(embedding.device)
-        start = torch.randint(slots - horizon, (batch_size, 1), generator=generator).to(embedding.device)
-        start = start * (torch.rand(batch_size, 1, generator=generator) >= start_share).to(start)
-        rows = start + torch.arange(horizon, device=embedding.device)
+        if starts is None:
+            embedding, action = draw(embedded, batch_size, horizon, generator, start_share)
+        else:
+            short = round(start_share * batch_size)
+            parts = (draw(embedded, batch_size - short, horizon, generator), draw(starts, short, horizon, generator))
+            embedding, action = (torch.cat(pair) for pair in zip(*parts, strict=True))
         with torch.autocast(embedding.device.type, precision):
-            predicted = rollout(predictor, embedding[episode[:, 0], start[:, 0]], action[episode, rows])
-        loss = cosine_loss(predicted, embedding[episode, rows + 1])
+            predicted = rollout(predictor, embedding[:, 0], action)
+        loss = cosine_loss(predicted, embedding[:, 1:])
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
@@ -63,10 +70,24 @@ def refine_predictor(
         progress.set_postfix(loss=f"{loss.item():.5f}", refresh=False)
 
 
-class RefinePredictor(lightning.Callback):
-    """Runs :func:`refine_predictor` when the fit ends, on the training split. List it before the export.
+def draw(
+    embedded: TensorDictBase, count: int, horizon: int, generator: torch.Generator, start_share: float = 0.0
+) -> tuple[Tensor, Tensor]:
+    """Embeddings [count, horizon + 1, d] and commands [count, horizon, 1] of roll-outs that begin anywhere, or, as
+    many as ``start_share`` says, where a trajectory begins."""
+    embedding, action = embedded["embedding"], embedded["action"]
+    episodes, slots = embedded.batch_size
+    episode = torch.randint(episodes, (count, 1), generator=generator).to(embedding.device)
+    start = torch.randint(slots - horizon, (count, 1), generator=generator).to(embedding.device)
+    start = start * (torch.rand(count, 1, generator=generator) >= start_share).to(start)
+    rows = start + torch.arange(horizon + 1, device=embedding.device)
+    return embedding[episode, rows], action[episode, rows[:, :-1]]
 
-    Args: as of :func:`refine_predictor`.
+
+class RefinePredictor(lightning.Callback):
+    """Runs :func:`refine_predictor` when the fit ends, on the data module's training splits. List it before the export.
+
+    Args: as of :func:`refine_predictor`, with ``starts`` the folder of a data set, whose split "train" is taken.
     """
 
     def __init__(
@@ -77,14 +98,21 @@ class RefinePredictor(lightning.Callback):
         learning_rate: float = 2e-3,
         seed: int = 0,
         start_share: float = 0.0,
+        starts: str | None = None,
     ) -> None:
         self.steps, self.horizon, self.batch_size = steps, horizon, batch_size
-        self.learning_rate, self.seed, self.start_share = learning_rate, seed, start_share
+        self.learning_rate, self.seed, self.start_share, self.starts = learning_rate, seed, start_share, starts
+
+    def on_fit_start(self, trainer: lightning.Trainer, module: lightning.LightningModule) -> None:
+        if self.starts is not None:
+            open_split(self.starts, "train")  # its absence is told now, not after the fit
 
     def on_fit_end(self, trainer: lightning.Trainer, module: lightning.LightningModule) -> None:
         if trainer.is_global_zero:
             data = trainer.datamodule
-            embedded = embed_split(module.encoder, data.split("train"), data.frame_spacing)
+            spacing = data.frame_spacing
+            embedded = torch.cat([embed_split(module.encoder, data.split(name), spacing) for name in data.splits])
+            starts = self.starts and embed_split(module.encoder, open_split(self.starts, "train"), spacing)
             refine_predictor(
                 module.predictor,
                 embedded,
@@ -94,4 +122,5 @@ class RefinePredictor(lightning.Callback):
                 self.learning_rate,
                 self.seed,
                 self.start_share,
+                starts,
             )
