@@ -121,22 +121,37 @@ def test_supplemental_information_is_not_counted():
     assert without_sei(stream) == unit + b"\x67ab" + unit + b"\x65picture"
 
 
+LOG_LINEAR = {"first is typical": (0.0, 0.03, -0.03), "first is the best": (0.2, -0.1, -0.1)}
+
+
+@pytest.mark.parametrize("shifts", LOG_LINEAR.values(), ids=LOG_LINEAR)
 @pytest.mark.parametrize(
-    ("limit", "expected", "bound"), [(47, (39, 49), "exact"), (2, (8,), "at most"), (999, (128,), "at least")]
+    ("crossing", "tried", "bound"),
+    [
+        (50, {45, 64}, "exact"),
+        (9, {8, 11}, "exact"),
+        (120, {91, 128}, "exact"),
+        (6, {8}, "at most"),
+        (129, {128}, "at least"),
+    ],
 )
-def test_bisection_ends_where_the_score_crosses(limit, expected, bound):
+def test_a_bracket_holds_the_known_crossing_of_a_falling_score(crossing, tried, bound, shifts):
     asked = []
 
-    def scores(size):
-        asked.append(size)
-        return [1.0 if size <= limit else 0.0] * 3
+    def scores(size, seeds):
+        asked.append((size, seeds))
+        return [0.74 - 0.3 * np.log2(size / crossing) + shift for shift in shifts[:seeds]]
 
     sizes = devices.sizes_between(8, 128)
-    assert sizes[0] == 8 and sizes[-1] == 128 and sizes == sorted(set(sizes))
-    curve, found = devices.bisect(scores, sizes)
-    assert found == bound
-    assert set(expected) <= set(curve)
-    assert len(asked) == len(set(asked)) <= 5
+    assert sizes == [8, 11, 16, 23, 32, 45, 64, 91, 128]
+    curve, found = devices.bracket(scores, sizes, 3)
+    assert (set(curve), found) == (tried, bound)
+    assert len({size for size, seeds in asked if seeds == 3}) <= 4
+    if bound == "exact":
+        # every seed's own crossing, also where it lies beyond the two sizes
+        assert devices.crossings(curve) == pytest.approx([crossing * 2 ** (shift / 0.3) for shift in shifts])
+    else:
+        assert devices.crossings(curve) == [*tried] * 3
 
 
 def test_sizes_that_do_not_ascend_are_refused():

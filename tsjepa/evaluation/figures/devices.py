@@ -1,7 +1,8 @@
-"""The largest fleet that keeps an acceptable score, by bisection over sizes a third of an octave apart."""
+"""The largest fleet that keeps an acceptable score, by bisection over sizes half an octave apart."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import replace
@@ -11,16 +12,16 @@ import torch
 
 from tsjepa.evaluation import fleet
 from tsjepa.evaluation.closed_loop import run
-from tsjepa.evaluation.figures.loops import load, stacks
+from tsjepa.evaluation.figures.loops import Camera, load
 from tsjepa.evaluation.fleet_codecs import FRAME_CODECS, fitted_codec
-from tsjepa.evaluation.fleet_search import crossing, mean
+from tsjepa.evaluation.fleet_search import mean
 from tsjepa.evaluation.fleet_settings import Plants, Radio
 from tsjepa.evaluation.metrics import normalized_score
 from tsjepa.network import GilbertElliott, IidLoss
 from tsjepa.network.codecs import make_codec, payload_bits
 
 ACCEPTABLE = 0.74  # normalised score (the paper's [0.74, 1.0])
-PER_OCTAVE = 3
+PER_OCTAVE = 2
 RADIO_FIELDS = ("resource_blocks", "bandwidth_mhz", "snr_target_db", "csi", "csi_delay", "max_doppler_hz")
 FULL_BANDWIDTH_MHZ = 20.0
 RESERVED_OVER_LARGEST = 1.1  # what a device reserves for a picture, over the largest that the expert's loops show
@@ -40,7 +41,8 @@ def device_rows(point: dict) -> list[dict]:
     Returns:
         A row for each seed and size that was tried, with ``num_devices``, ``score``, ``mean_age``, ``failed``,
         ``utilisation``; and a row a seed with ``devices``, where its score crosses the acceptable one, scaled to 20 MHz
-        where the point has a ``bandwidth_mhz``, and ``bound``: "exact", "at least" or "at most".
+        where the point has a ``bandwidth_mhz``, and ``bound``: "exact", "at least" or "at most". The sizes are tried
+        with the first seed, those on either side of the crossing with all of them.
     """
     model = None if point["model"] is None else load(point["model"])
     if point.get("between") == "hold":
@@ -55,22 +57,20 @@ def device_rows(point: dict) -> list[dict]:
             f"For some seed none of {point['smallest']} devices is in the box within {point['slots']} slots even with "
             "perfect feedback, so scores cannot be normalised; raise smallest or slots."
         )
-    rows = []
+    measured: dict[tuple[int, int], dict] = {}
 
-    def scores(size: int) -> list[float]:
-        new = [measure(size, seed, point["scheduler"], plants, radio, codec, model, optimal) for seed in seeds]
-        rows.extend(new)
-        return [row["score"] for row in new]
+    def scores(size: int, seeds: int) -> list[float]:
+        for seed in range(seeds):
+            if (size, seed) not in measured:
+                measured[size, seed] = measure(size, seed, point["scheduler"], plants, radio, codec, model, optimal)
+        return [measured[size, seed]["score"] for seed in range(seeds)]
 
-    seeds = range(point["seeds"])
-    curve, bound = bisect(scores, sizes_between(point["smallest"], point["largest"]))
-    if point.get("also_at") not in (None, *curve):
-        scores(point["also_at"])
+    curve, bound = bracket(scores, sizes_between(point["smallest"], point["largest"]), point["seeds"])
+    if point.get("also_at"):
+        scores(point["also_at"], point["seeds"])
     scale = FULL_BANDWIDTH_MHZ / point.get("bandwidth_mhz", FULL_BANDWIDTH_MHZ)
-    for seed in seeds:
-        found = crossing({size: values[seed] for size, values in curve.items()}, ACCEPTABLE)
-        rows.append({"seed": seed, "devices": scale * found, "bound": bound})
-    return rows
+    found = [{"seed": seed, "devices": scale * size, "bound": bound} for seed, size in enumerate(crossings(curve))]
+    return [*measured.values(), *found]
 
 
 def without_predictor(model):
@@ -95,33 +95,66 @@ def measure(size: int, seed: int, scheduler: str, plants: Plants, radio: Radio, 
 
 
 def sizes_between(smallest: int, largest: int) -> list[int]:
-    """Whole numbers, the first ``smallest`` and the last ``largest``, about a third of an octave apart."""
+    """Whole numbers, the first ``smallest`` and the last ``largest``, about half an octave apart."""
     if not 1 <= smallest < largest:
         raise ValueError(f"smallest is {smallest} and largest {largest}; give 1 <= smallest < largest.")
-    ratio, sizes = 2 ** (1 / PER_OCTAVE), [smallest]
-    while sizes[-1] * ratio < largest:
-        sizes.append(max(sizes[-1] + 1, round(sizes[-1] * ratio)))
-    return [*(size for size in sizes if size < largest), largest]
+    steps = math.ceil(PER_OCTAVE * math.log2(largest / smallest))
+    between = {round(smallest * 2 ** (step / PER_OCTAVE)) for step in range(steps)}
+    return [*sorted(size for size in between if size < largest), largest]
 
 
-def bisect(scores: Callable[[int], list[float]], sizes: Sequence[int]) -> tuple[dict[int, list[float]], str]:
-    """Scores per seed at the sizes that lead to where their mean crosses the acceptable one.
+def bracket(
+    scores: Callable[[int, int], list[float]], sizes: Sequence[int], seeds: int
+) -> tuple[dict[int, list[float]], str]:
+    """Scores of all seeds at the two neighbouring sizes between which their mean crosses the acceptable one.
+
+    The first seed alone is bisected; the others are tried where it crosses, and from there outwards as far as needed.
+
+    Args:
+        scores: from a size and a number of seeds to the score of each; asked again it answers the same, for nothing.
+        sizes: ascending.
+        seeds: how many.
 
     Returns:
-        By size, ascending; and whether the crossing lies between two of them ("exact"), at or beyond the last ("at
-        least"), or before the first ("at most").
+        By size, ascending; and whether the crossing lies between the two ("exact"), beyond the last size ("at least"),
+        or before the first ("at most"), where there is only that one.
     """
-    curve: dict[int, list[float]] = {}
     good, bad = -1, len(sizes)
     while bad - good > 1:
         middle = (good + bad) // 2
-        curve[sizes[middle]] = scores(sizes[middle])
-        if mean(curve[sizes[middle]]) >= ACCEPTABLE:
-            good = middle
-        else:
-            bad = middle
+        good, bad = (middle, bad) if scores(sizes[middle], 1)[0] >= ACCEPTABLE else (good, middle)
+
+    def acceptable(index: int) -> bool:
+        return mean(scores(sizes[index], seeds)) >= ACCEPTABLE
+
+    while good >= 0 and not acceptable(good):
+        good, bad = good - 1, good
+    while bad < len(sizes) and acceptable(bad):
+        good, bad = bad, bad + 1
     bound = "at most" if good < 0 else "at least" if bad == len(sizes) else "exact"
-    return dict(sorted(curve.items())), bound
+    return {sizes[index]: scores(sizes[index], seeds) for index in (good, bad) if 0 <= index < len(sizes)}, bound
+
+
+def crossings(curve: dict[int, list[float]]) -> list[float]:
+    """Number of devices at which each seed's score crosses the acceptable one.
+
+    The mean score falls in proportion to the logarithm of the size between the two sizes; a seed whose score lies above
+    it where the mean crosses has its own crossing further on along the same slope. So no seed's crossing is cut off at
+    the sizes that were tried.
+
+    Args:
+        curve: scores per seed at two sizes, the mean acceptable at the smaller one alone; with one size that is the
+            answer for every seed.
+    """
+    if len(curve) == 1:
+        ((size, values),) = curve.items()
+        return [float(size)] * len(values)
+    (good, above), (bad, below) = sorted(curve.items())
+    fall = mean(above) - mean(below)
+    share = (mean(above) - ACCEPTABLE) / fall
+    octaves = math.log2(bad / good)
+    there = [(1 - share) * high + share * low for high, low in zip(above, below, strict=True)]
+    return [good * 2 ** (octaves * (share + (score - ACCEPTABLE) / fall)) for score in there]
 
 
 @lru_cache(maxsize=8)
@@ -159,16 +192,15 @@ def radio_of(point: dict, plants: Plants, codec, model) -> Radio:
 
 def reserved_bits(plants: Plants, codec, model, count: int = 10) -> int:
     """Bits to reserve for a picture: the largest along loops that the expert closes, and a tenth more."""
-    from tsjepa.envs import Renderer
     from tsjepa.envs.expert import Expert
     from tsjepa.evaluation.fleet_codecs import CALIBRATION_SEED
 
-    renderer, expert, largest = Renderer(), Expert(plants.sampling_interval), 0
+    camera, expert, largest = Camera(), Expert(plants.sampling_interval), 0
 
     def watched(slot: int, observation) -> torch.Tensor:
         nonlocal largest
         if slot % 10 == 0:
-            packets = codec.encode(stacks(model, renderer, observation))
+            packets = codec.encode(camera.stacks(model, slot, observation))
             largest = max(largest, int(payload_bits(packets).max()))
         return expert(observation["state"])
 

@@ -63,7 +63,8 @@ def command_rows(point: dict) -> list[dict]:
     """
     rows = []
     for seed in range(point["seeds"]):
-        error = command_error(starts_of(point, seed), RemotePolicy(point, seed))
+        starts = starts_of(point, seed)
+        error = command_error(starts, RemotePolicy(point, seed, expert_camera(*astuple(starts))))
         rows.append({"seed": seed, "nmae": float(error.mean()), "nmae_by_slot": thinned(error)})
     return rows
 
@@ -127,12 +128,39 @@ def thinned(curve: Tensor) -> list[float]:
     return curve[: len(curve) // CURVE_STEP * CURVE_STEP].view(-1, CURVE_STEP).mean(1).tolist()
 
 
-def stacks(model, renderer, observation) -> Tensor:
-    """Frames uint8 [N, kappa, H, W, 3] that a model stacks; the plants may keep more than it needs."""
-    qpos = observation["qpos"][:, -model.frame_history :: model.architecture.frame_spacing]
-    colors = observation["colors"].repeat_interleave(qpos.shape[1], 0)
-    frames = renderer.render(qpos.flatten(0, 1).double().numpy(), colors.numpy())
-    return torch.from_numpy(frames).unflatten(0, qpos.shape[:2])
+class Camera:
+    """The frames of one loop, of which each is rendered once however many stacks it is in."""
+
+    def __init__(self) -> None:
+        from tsjepa.envs import Renderer
+
+        self.renderer, self.frames = Renderer(), {}
+
+    def stacks(self, model, slot: int, observation) -> Tensor:
+        """Frames uint8 [N, kappa, H, W, 3] that a model stacks; the plants may keep more than it needs.
+
+        Args:
+            model: a controller.
+            slot: of the loop.
+            observation: of the plants in this slot.
+        """
+        spacing, kappa = model.architecture.frame_spacing, model.architecture.frame_stack
+        slots = [slot - spacing * back for back in reversed(range(kappa))]
+        missing = [wanted for wanted in slots if wanted not in self.frames]
+        if missing:
+            # the last of the remembered positions is that of this slot
+            qpos = observation["qpos"][:, [wanted - slot - 1 for wanted in missing]]
+            colors = observation["colors"].repeat_interleave(len(missing), 0)
+            frames = self.renderer.render(qpos.flatten(0, 1).double().numpy(), colors.numpy())
+            rendered = torch.from_numpy(frames).unflatten(0, qpos.shape[:2])
+            self.frames |= dict(zip(missing, rendered.unbind(1), strict=True))
+        return torch.stack([self.frames[wanted] for wanted in slots], 1)
+
+
+@lru_cache(maxsize=8)
+def expert_camera(*starts) -> Camera:
+    """The camera on a loop that the expert closes from these starts, kept for the next controller that watches it."""
+    return Camera()
 
 
 class RemotePolicy:
@@ -143,10 +171,10 @@ class RemotePolicy:
     Args:
         point: see :func:`loop_rows`.
         seed: of the losses.
+        camera: on the loop, if not its own.
     """
 
-    def __init__(self, point: dict, seed: int) -> None:
-        from tsjepa.envs import Renderer
+    def __init__(self, point: dict, seed: int, camera: Camera | None = None) -> None:
         from tsjepa.envs.expert import Expert
 
         self.model = model = None if point["model"] is None else load(point["model"])
@@ -158,7 +186,7 @@ class RemotePolicy:
             self.codec, self.expert = fitted_codec(point["codec"], Plants(), None), Expert(SAMPLING_INTERVAL)
         else:
             self.sender = make_sender(model, point["sends"], point["codec"], point.get("quality"))
-            self.renderer = Renderer()
+            self.camera = camera or Camera()
 
     @torch.no_grad()
     def __call__(self, slot: int, observation) -> Tensor:
@@ -173,16 +201,16 @@ class RemotePolicy:
             self.command = torch.zeros(count, 1)
         if is_update(slot, self.period):
             arrived = torch.rand(count, generator=self.draws) >= self.loss
-            self._receive(observation, arrived, slot == 0)
+            self._receive(slot, observation, arrived)
         return self.command
 
-    def _receive(self, observation, arrived: Tensor, fresh: bool) -> None:
+    def _receive(self, slot: int, observation, arrived: Tensor) -> None:
         if self.model is None:
             packets = self.codec.encode(observation["state"])
             bits, command = payload_bits(packets), self.expert(self.codec.decode(packets))
         else:
-            received, bits = self.sender.send(stacks(self.model, self.renderer, observation), fresh)
-            self.belief = received if fresh else torch.where(arrived[:, None], received, self.belief)
+            received, bits = self.sender.send(self.camera.stacks(self.model, slot, observation), slot == 0)
+            self.belief = received if slot == 0 else torch.where(arrived[:, None], received, self.belief)
             command = self.model.act(received)
         self.command = torch.where(arrived[:, None], command, self.command)
         self.informed |= arrived

@@ -10,7 +10,7 @@ from torch import Tensor
 from tsjepa.evaluation.closed_loop import Starts, run
 from tsjepa.evaluation.figures import plots
 from tsjepa.evaluation.figures.claims import Verdict, judge
-from tsjepa.evaluation.figures.loops import load, stacks
+from tsjepa.evaluation.figures.loops import Camera, load
 from tsjepa.evaluation.figures.store import flat
 
 TITLE = "t-SNE of the embeddings"
@@ -74,15 +74,14 @@ def evaluate(point: dict) -> list[dict]:
 @torch.no_grad()
 def trajectories(model, point: dict, seed: int) -> tuple[Tensor, Tensor, Tensor]:
     """Embeddings [N, d], states [N, 4] and trajectory numbers [N] along loops that the expert closes."""
-    from tsjepa.envs import Renderer
     from tsjepa.envs.expert import Expert
 
     interval = model.architecture.sampling_interval
-    renderer, expert, seen = Renderer(), Expert(interval), []
+    camera, expert, seen = Camera(), Expert(interval), []
 
     def driver(slot: int, observation) -> Tensor:
         if slot % point["every"] == 0:
-            seen.append((model.encode(stacks(model, renderer, observation)), observation["state"]))
+            seen.append((model.encode(camera.stacks(model, slot, observation)), observation["state"]))
         return expert(observation["state"])
 
     run(Starts(STREAM + seed, point["trajectories"], point["slots"], model.frame_history, interval), driver)

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor, nn
-from torchrl.data import Bounded, Composite, TensorSpec
+from torchrl.data import Composite, TensorSpec
 
 from tsjepa.network.transforms.base import (
     SlotTransform,
@@ -47,8 +47,8 @@ class Camera(SlotTransform):
     def _specs(self, incoming: Composite) -> dict[str, TensorSpec]:
         self._first_frame(require_key(incoming, "qpos", "Camera", "a fleet"))
         require_key(incoming, "colors", "Camera", "a fleet")
-        shape = (*incoming.shape, self.frame_stack, *self.frame_shape)
-        return {"pixels": Bounded(0, 255, shape=shape, dtype=torch.uint8, device=incoming.device)}
+        # a bounded spec would hold its bounds for every pixel and compare them whenever an environment is built
+        return {"pixels": number_spec(incoming, self.frame_stack, *self.frame_shape, dtype=torch.uint8)}
 
     def _slot(self, previous: Values, current: TensorDictBase, fresh: Tensor | None) -> Values:
         rows = active_rows(current, "scheduled", fresh)
