@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tiny
+from PIL import Image
 
 from tsjepa import cli
 from tsjepa.evaluation.figures import FIGURES, claims, command, module_of, store
@@ -58,7 +59,13 @@ def made_up_rows(figure: str, point: dict, numbers: np.random.Generator) -> list
     measures = ("score", "raw_score", "failed", "cost", "nmae")
     return [
         loop
-        | {"seed": seed, "bits_per_slot": 10 + 1000 * numbers.random(), "in_box": curve(), "nmae_by_slot": curve()}
+        | {
+            "seed": seed,
+            "bits_per_slot": 10 + 1000 * numbers.random(),
+            "effective_rank": 9.0,
+            "in_box": curve(),
+            "nmae_by_slot": curve(),
+        }
         | dict(zip(measures, numbers.random(len(measures)).tolist(), strict=True))
         for loop in loops
         for seed in seeds
@@ -191,6 +198,14 @@ def test_shipped_results_name_their_command_commit_and_seeds(path):
     assert path.with_suffix(".png").is_file()
 
 
-def test_the_film_shows_both_fleets(tmp_path):
+def test_the_film_shows_both_fleets_moving(tmp_path):
     film(str(tmp_path), num_devices=2, theirs="tsjepa-cartpole", slots=6)
-    assert all((tmp_path / name).stat().st_size > 1000 for name in ("fleet.mp4", "fleet.gif"))
+    with Image.open(tmp_path / "fleet.gif") as gif:
+        assert (gif.width, gif.n_frames) == (800, 3)
+        pictures = []
+        for index in range(gif.n_frames):
+            gif.seek(index)
+            pictures.append(np.asarray(gif.convert("RGB"), np.int16))
+    halves = [(picture[:, :400], picture[:, 400:]) for picture in pictures]
+    assert all(np.ptp(half) > 100 for pair in halves for half in pair)
+    assert all(np.abs(after - before).max() > 50 for before, after in zip(halves[0], halves[-1], strict=True))

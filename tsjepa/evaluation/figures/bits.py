@@ -20,6 +20,7 @@ CAPTION = (
 )
 MEASURES = ("score", "bits_per_slot")
 ENOUGH = 0.9  # normalised score at which the bits are compared
+STILLS, RAW = 5.0, 500.0  # times the bits of an embedding that are expected of still pictures and of raw frames
 STYLES = {  # by what is sent: name in the plot, colour, marker
     "state": ("true state", plots.PALETTE[6], "*"),
     "embedding": ("embedding", plots.PALETTE[0], "o"),
@@ -128,12 +129,22 @@ def verdicts(records: list[dict]) -> dict[str, Verdict]:
         f"{name} {bits[name]:.0f} ({short_name(record['point'])})" for name, record in best.items()
     )
     if not {"embedding", "still picture", "raw frame"} <= set(bits):
-        return {"fewer_bits": judge(False, ours, "embeddings, stills or raw frames do not reach that score")}
-    fewer = bits["embedding"] <= bits["still picture"] / 5 and bits["embedding"] <= bits["raw frame"] / 500
-    beats_video = "H.264" not in bits or bits["embedding"] <= bits["H.264"]
-    reason = (
-        "it saves less than five times against still pictures or 500 times against raw frames"
-        if not fewer
-        else "H.264, which the paper leaves out, needs fewer bits"
-    )
-    return {"fewer_bits": judge(fewer and beats_video, ours, reason, partly=bits["embedding"] < bits["raw frame"])}
+        missing = judge(False, ours, "embeddings, stills or raw frames do not reach that score")
+        return {"fewer_bits": missing, "goal_bits": missing}
+    still, raw = (bits[name] / bits["embedding"] for name in ("still picture", "raw frame"))
+    video = bits.get("H.264", float("inf")) / bits["embedding"]
+    times = f"{ours}; still pictures {still:.1f} times, raw frames {raw:.0f} times, H.264 {video:.1f} times as many"
+    return {
+        "fewer_bits": judge(
+            still > 1 and raw > 1 and video > 1,
+            times,
+            "coded frames, which the paper leaves out, need as few bits",
+            partly=raw > 1,
+        ),
+        "goal_bits": judge(
+            still >= STILLS and raw >= RAW,
+            times,
+            f"less than {STILLS:g} times against still pictures or {RAW:g} times against raw frames",
+            partly=still > 1 and raw > 1,
+        ),
+    }

@@ -80,6 +80,7 @@ def verdicts(records: list[dict]) -> dict[str, Verdict]:
         return ", ".join(f"{value:.{digits}f} ({size})" for size, value in zip(sizes, values, strict=True))
 
     errors, bits, scores = means(1, "nmae"), means(1, "bits_per_slot"), means(10, "score")
+    ranks = means(1, "effective_rank")
     return {
         "data_nmae": judge(
             all(first > second for first, second in pairwise(errors)),
@@ -91,6 +92,12 @@ def verdicts(records: list[dict]) -> dict[str, Verdict]:
             bits[-1] > bits[0],
             f"bits per slot by trajectories: {listed(bits, 0)}",
             "an embedding of d numbers has the same number of bits whatever it was trained on",
+        ),
+        "data_collapse": judge(
+            ranks[0] < 0.5 * ranks[-1],
+            f"effective rank of the embeddings by trajectories: {listed(ranks, 1)}",
+            "the variance and covariance terms of our loss, which the paper's lacks, keep it from collapsing",
+            partly=ranks[0] < 0.8 * ranks[-1],
         ),
         "data_score": judge(
             all(first < second for first, second in pairwise(scores)),

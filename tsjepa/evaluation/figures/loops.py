@@ -117,6 +117,23 @@ def command_error(starts: Starts, policy: Callable) -> Tensor:
     return (torch.stack(commands) - loop.action).abs().mean((1, 2)) / COMMAND_RANGE
 
 
+@torch.no_grad()
+def expert_embeddings(point: dict, seed: int) -> Tensor:
+    """Embeddings [N, d] of every :data:`CURVE_STEP`-th slot of loops that the expert closes from a seed's starts."""
+    from tsjepa.envs.expert import Expert
+
+    starts, model = starts_of(point, seed), load(point["model"])
+    camera, expert, seen = expert_camera(*astuple(starts)), Expert(starts.sampling_interval), []
+
+    def driver(slot: int, observation) -> Tensor:
+        if slot % CURVE_STEP == 0:
+            seen.append(model.encode(camera.stacks(model, slot, observation)))
+        return expert(observation["state"])
+
+    run(starts, driver)
+    return torch.cat(seen)
+
+
 def in_box(loop: Run) -> Tensor:
     """Share of the starts that are in the box after each slot [T]."""
     state = loop.state[1:]

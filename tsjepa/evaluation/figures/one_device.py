@@ -179,6 +179,14 @@ def _beside_learned(error: dict, score: dict, bits: dict, learned: dict, ours: l
             "the autoencoder does not score above the supervised controller" if worse else "its error is not higher",
             partly=worse or above,
         )
+    if TWO in learned:
+        found["supervised_generalises"] = judge(
+            score[TWO] < 0.74,
+            f"score {score[TWO]:.3f} from starts that it was not trained on, command NMAE {error[TWO]:.4f}; TS-JEPA "
+            f"{score[OURS]:.3f} and {error[OURS]:.4f}",
+            "on the same trajectories as TS-JEPA, of which every one changes its set-point and explores, it does well",
+            partly=score[TWO] < score[OURS],
+        )
     if TWO in learned and FOUR in learned:
         better = error[FOUR] < error[TWO]
         found["more_frames"] = judge(
@@ -206,7 +214,14 @@ def _sent_once(of) -> dict[str, Verdict]:
     curve, rival_curves = plots.curve(ours, "nmae_by_slot"), [plots.curve(r, "nmae_by_slot") for r in rivals.values()]
     ahead = sum(mine < min(others) for mine, *others in zip(curve, *rival_curves, strict=True))
     our_score, their_score = plots.mean(ours, "score"), plots.mean(rivals[best_score], "score")
+    begins, ends = curve[0], sum(curve[-4:]) / 4
     return {
+        "once_growth": judge(
+            ends < 2 * begins,
+            f"command NMAE {begins:.4f} in the first {CURVE_STEP} slots, {ends:.4f} in the last {4 * CURVE_STEP}",
+            "it drifts: an error in an unstable plant's state, or in its picture, grows from slot to slot",
+            partly=ends < 4 * begins,
+        ),
         "once_nmae": judge(
             ahead == len(curve),
             f"command NMAE over 2 s {plots.text(ours, 'nmae', 4)}, {best_error} "

@@ -10,8 +10,9 @@ from tensordict import TensorDictBase
 
 from tsjepa import cli
 from tsjepa.data.module import Trajectories
-from tsjepa.evaluation.figures.loops import command_rows, load, loop_rows
+from tsjepa.evaluation.figures.loops import command_rows, expert_embeddings, load, loop_rows
 from tsjepa.training.imitation_data import ImitationPairs
+from tsjepa.training.monitor import effective_rank
 
 KEPT = ("CentreEmbedding", "RefinePredictor", "FitProbe", "FitCodec", "ExportModel")  # callbacks that make the model
 ONCE = 0
@@ -59,7 +60,8 @@ def trained_rows(point: dict, loops: list[dict]) -> list[dict]:
         loops: what differs from loop to loop: ``update_every``, ``loss``, and names that the rows carry.
 
     Returns:
-        The rows of every loop; those with ``update_every`` 1 and nothing lost carry the command error besides.
+        The rows of every loop; those with ``update_every`` 1 and nothing lost carry the command error and the
+        effective rank of the embeddings besides.
     """
     with tempfile.TemporaryDirectory() as folder:
         model = train(point, Path(folder))
@@ -70,7 +72,11 @@ def trained_rows(point: dict, loops: list[dict]) -> list[dict]:
         for loop in loops:
             new = loop_rows(common | loop)
             if loop["update_every"] == 1 and not loop.get("loss"):
-                new = [row | error for row, error in zip(new, command_rows(common | loop), strict=True)]
+                errors = command_rows(common | loop)
+                ranks = [float(effective_rank(expert_embeddings(common | loop, row["seed"]))) for row in new]
+                new = [
+                    row | error | {"effective_rank": rank} for row, error, rank in zip(new, errors, ranks, strict=True)
+                ]
             rows += [loop | row for row in new]
     return rows
 
