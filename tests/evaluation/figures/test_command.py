@@ -198,6 +198,15 @@ def test_shipped_results_name_their_command_commit_and_seeds(path):
     assert path.with_suffix(".png").is_file()
 
 
+@pytest.mark.parametrize("path", sorted(RESULTS.glob("*.json")), ids=lambda path: path.stem)
+def test_shipped_results_are_drawn_anew(path, tmp_path):
+    module_of(path.stem).draw(store.read(RESULTS, path.stem), tmp_path / "picture.png")
+    with Image.open(tmp_path / "picture.png") as picture:
+        drawn = np.asarray(picture.convert("L"), float)
+    assert min(drawn.shape) > 200
+    assert drawn.std() > 10 and 0.01 < (drawn < 200).mean() < 0.9
+
+
 def test_the_film_shows_both_fleets_moving(tmp_path):
     film(str(tmp_path), num_devices=2, theirs="tsjepa-cartpole", slots=6)
     with Image.open(tmp_path / "fleet.gif") as gif:

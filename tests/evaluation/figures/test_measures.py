@@ -7,8 +7,6 @@ import torch
 from tsjepa.evaluation.figures import devices, frame_change, tsne
 from tsjepa.evaluation.figures.grids import grid
 from tsjepa.evaluation.figures.loops import loop_rows, starts_of, thinned
-from tsjepa.evaluation.figures.senders import H264, Stills, StreamSender, without_sei
-from tsjepa.network.codecs import make_codec
 
 LOOP = {"model": None, "sends": "state", "codec": "fp32", "update_every": 1, "between": "hold"}
 SIZES = {"seeds": 2, "starts": 6, "slots": 100, "process_noise_std": 0.0}
@@ -74,51 +72,6 @@ def test_every_controller_meets_the_same_starts():
 
 def test_a_curve_is_averaged_over_five_slots():
     assert thinned(torch.arange(12.0)) == [2.0, 7.0]
-
-
-class Stacker:
-    """A model whose embedding is the mean of each frame of its stack."""
-
-    def encode(self, frames):
-        return frames.double().mean((2, 3, 4))
-
-
-def moving_square(slots: int) -> torch.Tensor:
-    """uint8 [slots, 2, 64, 128, 3]: neighbouring frames of a square that moves and brightens."""
-    frames = torch.zeros(slots + 1, 64, 128, 3, dtype=torch.uint8)
-    for slot in range(slots + 1):
-        frames[slot, 20:40, 10 + slot : 40 + slot] = 100 + 5 * slot
-    return torch.stack((frames[:-1], frames[1:]), 1)
-
-
-def test_a_stream_of_single_frames_gives_the_stacks():
-    sender, frames = StreamSender(Stacker(), Stills(make_codec("raw", frame_stack=1))), moving_square(4)
-    for slot, stack in enumerate(frames):
-        embedding, bits = sender.send(stack[None], slot == 0)
-        assert torch.equal(embedding, Stacker().encode(stack[None]))
-        assert bits.tolist() == [(2 if slot == 0 else 1) * 64 * 128 * 3 * 8]
-
-
-def test_video_needs_few_bits_after_its_key_frame_and_shows_the_frame():
-    pytest.importorskip("av")
-    video, frames = H264(20), moving_square(6)[:, 1]
-    video.start(2)
-    sent = [video.send(torch.stack((frame, 255 - frame))) for frame in frames]
-    assert all(
-        (shown[0].float() - frame.float()).abs().mean() < 6 for (shown, _), frame in zip(sent, frames, strict=True)
-    )
-    assert all(
-        (shown[1].float() + frame.float() - 255).abs().mean() < 6
-        for (shown, _), frame in zip(sent, frames, strict=True)
-    )
-    bits = torch.stack([count for _, count in sent])
-    assert (bits[1:].double().mean(0) < bits[0] / 2).all()
-
-
-def test_supplemental_information_is_not_counted():
-    unit = b"\x00\x00\x01"
-    stream = b"\x00" + unit + b"\x67ab" + unit + b"\x06name" + unit + b"\x65picture"
-    assert without_sei(stream) == unit + b"\x67ab" + unit + b"\x65picture"
 
 
 LOG_LINEAR = {"first is typical": (0.0, 0.03, -0.03), "first is the best": (0.2, -0.1, -0.1)}

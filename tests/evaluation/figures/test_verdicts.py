@@ -1,0 +1,138 @@
+"""Verdicts on results whose answer is known."""
+
+import pytest
+
+from tsjepa.evaluation.figures import bits, devices_encoding, devices_prediction, frame_change, one_device
+from tsjepa.evaluation.figures.claims import NOT, PARTLY, REPRODUCED
+
+SEEDS = range(3)
+
+
+def record(point: dict, **measures: float) -> dict:
+    """One recorded point whose seeds differ by a per cent."""
+    rows = [{"seed": s} | {name: value * (1 + 0.01 * (s - 1)) for name, value in measures.items()} for s in SEEDS]
+    return {"point": point, "rows": rows}
+
+
+def fleets(counts: dict, **fields) -> list[dict]:
+    """Records of device searches: counts by (label, scheduler)."""
+    return [
+        record({"label": label, "scheduler": scheduler} | fields, devices=count)
+        for (label, scheduler), count in counts.items()
+    ]
+
+
+COUNTS = {
+    ("TS-JEPA", "channel_aware"): 100,
+    ("TS-JEPA", "round_robin"): 50,
+    ("TS-JEPA", "opportunistic"): 40,
+    ("supervised, WebP", "channel_aware"): 15,
+    ("supervised, WebP", "round_robin"): 10,
+    ("supervised, WebP", "opportunistic"): 8,
+    ("supervised, raw frames", "channel_aware"): 2,
+    ("supervised, raw frames", "round_robin"): 1,
+}
+
+
+def encoding(changed: dict) -> dict[str, str]:
+    records = [entry for snr in (5, 20) for entry in fleets(COUNTS | changed, snr_target_db=snr)]
+    return devices_encoding.verdicts(records)
+
+
+def test_devices_as_the_paper_has_them_are_reproduced():
+    found = encoding({})
+    assert {name for name, verdict in found.items() if verdict.verdict == REPRODUCED} == {
+        "devices_schedulers",
+        "opportunistic_last",
+        "scales",
+        "goal_devices",
+        "devices_controllers",
+    }
+    assert "10.0 ± 0.0 times supervised, WebP, round-robin" in found["goal_devices"].ours
+    assert "2.5 ± 0.0 times its own opportunistic" in found["goal_devices"].ours
+    assert "100 ± 2" in found["devices_schedulers"].ours
+
+
+@pytest.mark.parametrize(
+    ("changed", "name", "verdict", "said"),
+    [
+        ({("TS-JEPA", "opportunistic"): 100}, "devices_schedulers", PARTLY, "order"),
+        ({("TS-JEPA", "opportunistic"): 100}, "goal_devices", PARTLY, "not clearly ahead of its own opportunistic"),
+        ({("TS-JEPA", "opportunistic"): 60}, "opportunistic_last", NOT, "starves nobody"),
+        ({("supervised, WebP", "round_robin"): 25}, "goal_devices", PARTLY, "less than 5 times supervised, WebP"),
+        ({("supervised, WebP", "round_robin"): 120}, "goal_devices", NOT, "less than 5 times supervised, WebP"),
+        ({("supervised, WebP", "round_robin"): 120}, "scales", PARTLY, "not at every SNR"),
+        ({("supervised, WebP", "channel_aware"): 120}, "devices_controllers", PARTLY, "not at every SNR"),
+    ],
+)
+def test_devices_that_fall_short_are_not_hidden(changed, name, verdict, said):
+    found = encoding(changed)[name]
+    assert found.verdict == verdict
+    assert said in found.reason
+
+
+@pytest.mark.parametrize(("kept", "verdict"), [(90, REPRODUCED), (60, PARTLY), (40, NOT)])
+def test_devices_kept_under_loss(kept, verdict):
+    lossless = fleets(COUNTS, loss=0.0)
+    lossy = fleets(COUNTS | {("TS-JEPA", "channel_aware"): kept, ("supervised, WebP", "channel_aware"): 7}, loss=0.5)
+    found = devices_prediction.verdicts(lossless + lossy)
+    assert found["supervised_loss"].verdict == verdict
+    assert f"TS-JEPA keeps {kept}%" in found["supervised_loss"].ours
+    assert found["devices_loss"].verdict == REPRODUCED
+
+
+def sent(sends: str, codec: str, count: float, score: float) -> dict:
+    model = "tsjepa-cartpole" if sends == "embedding" else "supervised-cartpole-k2"
+    point = {"model": model, "sends": sends, "codec": codec, "quality": None, "update_every": 1}
+    return record(point, bits_per_slot=count, score=score)
+
+
+@pytest.mark.parametrize(
+    ("embedding", "video", "goal", "claim"),
+    [(300, 1000, REPRODUCED, REPRODUCED), (300, 200, REPRODUCED, PARTLY), (1000, 1500, PARTLY, REPRODUCED)],
+)
+def test_bits_of_the_cheapest_setting_that_scores_enough(embedding, video, goal, claim):
+    found = bits.verdicts(
+        [
+            sent("embedding", "int8", embedding, 0.95),
+            sent("embedding", "int4", 10, 0.5),
+            sent("stream", "webp", 2000, 0.92),
+            sent("stack", "webp", 400, 0.7),
+            sent("stream", "raw", 200_000, 0.98),
+            sent("video", "h264", video, 0.95),
+        ]
+    )
+    assert (found["goal_bits"].verdict, found["fewer_bits"].verdict) == (goal, claim)
+    assert f"embedding {embedding} (int8), still picture 2000 (webp), raw frame 200000" in found["goal_bits"].ours
+
+
+def test_bits_are_not_compared_where_nothing_scores_enough():
+    found = bits.verdicts([sent("embedding", "int8", 300, 0.8), sent("stream", "webp", 2000, 0.95)])
+    assert {verdict.verdict for verdict in found.values()} == {NOT}
+
+
+@pytest.mark.parametrize(("medians", "verdict"), [((1, 5, 20), REPRODUCED), ((1, 9, 8), PARTLY), ((9, 5, 2), NOT)])
+def test_frames_further_apart(medians, verdict):
+    records = [
+        record({"interval_ms": ms, "augmentation": "none"}, median=median, percentile_90=2 * median, masked_share=0.9)
+        for ms, median in zip((1, 5, 20), medians, strict=True)
+    ]
+    assert frame_change.verdicts(records)["interval_changes_frames"].verdict == verdict
+
+
+@pytest.mark.parametrize(("ours", "theirs", "verdict"), [(0.9, 0.3, REPRODUCED), (0.4, 0.3, PARTLY), (0.2, 0.3, NOT)])
+def test_sent_once(ours, theirs, verdict):
+    common = {"update_every": 0}
+    records = [
+        record(common | {"label": label, "between": between}, score=score, nmae=0.1)
+        for label, between, score in (("TS-JEPA", "predict", ours), ("optimal", "hold", theirs))
+    ] + [
+        record(common | {"update_every": 1, "label": label, "between": "hold"}, score=0.98, nmae=0.1, bits_per_slot=1)
+        for label in ("TS-JEPA", "optimal")
+    ]
+    for entry in records:
+        for row in entry["rows"]:
+            row["nmae_by_slot"] = [0.1] * 8
+    found = one_device.verdicts(records)
+    assert found["once_score"].verdict == verdict
+    assert found["near_optimal"].verdict == found["once_growth"].verdict == REPRODUCED
