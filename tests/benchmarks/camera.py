@@ -130,8 +130,8 @@ def measure(devices: int, frame_stack: int, rounds: int, frames: int) -> dict:
         "frame_stack": frame_stack,
         "camera": metadata,
         "frames_per_second": {name: spread(values) for name, values in speeds.items()},
-        "fleet_over_stock": {**ratio["stock"], "target": 15},
-        "fleet_over_bare": {**ratio["bare"], "target": 0.85},
+        "fleet_over_stock": {**ratio["stock"], "target": 20},
+        "fleet_over_bare": {**ratio["bare"], "target": 0.9},
     }
 
 

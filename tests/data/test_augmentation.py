@@ -93,3 +93,16 @@ def test_under_autocast_it_stays_close_to_single_precision(dtype):
         rounded = Augmentation()(patchify(frames()), generator())
     assert rounded.dtype == dtype
     assert (rounded.float() - exact).abs().mean() < 0.02
+
+
+def test_a_batch_mapped_in_parts_is_the_batch_mapped_at_once_bit_for_bit():
+    windows, stacks = 6, 3
+    patches = patchify(frames(windows * stacks))
+    augmentation = Augmentation(grayscale=0.5)
+    with torch.autocast("cpu", torch.bfloat16):
+        ours = augmentation(patches, generator(), shared=stacks)
+        draws = augmentation.draw(windows, generator()).repeat_interleave(stacks, 0)
+    matrix = torch.stack([torch.block_diag(*[draw[:, :3].T] * 16) for draw in draws]).bfloat16()
+    offset = draws[:, None, :, 3].repeat(1, 1, 16).bfloat16()
+    at_once = torch.baddbmm(offset, patches.view(len(patches), -1, 48).bfloat16(), matrix)
+    assert torch.equal(ours, at_once.view(patches.shape))

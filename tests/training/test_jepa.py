@@ -1,4 +1,5 @@
 import copy
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -71,8 +72,7 @@ def test_the_target_is_the_exponential_moving_average_of_weights_and_buffers(mod
 
 
 def test_one_step_gives_the_target_no_gradient_and_leaves_it_as_it_was(module, monkeypatch):
-    monkeypatch.setattr(module, "log", lambda *args, **kwargs: None)
-    monkeypatch.setattr(module, "log_dict", lambda *args, **kwargs: None)
+    monkeypatch.setattr(module, "log_terms", lambda *args: None)
     monkeypatch.setattr(TSJEPA, "global_step", 3)
     patches = torch.randint(0, 256, (2, 3, 16, 32, 96), dtype=torch.uint8, generator=torch.Generator().manual_seed(0))
     batch = {"patches": patches, "commands": torch.ones(2, 4, 1)}
@@ -86,6 +86,24 @@ def test_one_step_gives_the_target_no_gradient_and_leaves_it_as_it_was(module, m
     assert all(torch.equal(value, before[name]) for name, value in module.target_encoder.state_dict().items())
 
 
+def test_what_the_logger_takes_is_logged_and_an_epochs_last_step(module, monkeypatch):
+    logged = []
+    monkeypatch.setattr(module, "log_dict", logged.append)
+    monkeypatch.setattr(module, "log", lambda *args, **kwargs: None)
+    trainer = SimpleNamespace(log_every_n_steps=4, is_last_batch=False)
+    monkeypatch.setattr(TSJEPA, "trainer", trainer)
+    for step in range(10):
+        monkeypatch.setattr(TSJEPA, "global_step", step)
+        trainer.is_last_batch = step == 9
+        module.log_terms(step, None)
+    assert logged == [3, 7, 9]
+    trainer.log_every_n_steps = 0
+    module.log_terms(10, None)
+    trainer.is_last_batch = False
+    module.log_terms(11, None)
+    assert logged == [3, 7, 9, 10]
+
+
 def test_the_target_stays_in_evaluation_mode(module):
     assert module.encoder.training
     assert not any(part.training for part in module.target_encoder.modules())
@@ -95,8 +113,7 @@ def test_the_target_stays_in_evaluation_mode(module):
 
 
 def test_the_loss_of_a_step_depends_on_the_step_and_not_on_the_global_stream(module, monkeypatch):
-    monkeypatch.setattr(module, "log", lambda *args, **kwargs: None)
-    monkeypatch.setattr(module, "log_dict", lambda *args, **kwargs: None)
+    monkeypatch.setattr(module, "log_terms", lambda *args: None)
     patches = torch.randint(0, 256, (2, 3, 16, 32, 96), dtype=torch.uint8, generator=torch.Generator().manual_seed(0))
     batch = {"patches": patches, "commands": torch.ones(2, 2, 1)}
     start = copy.deepcopy(module.state_dict())

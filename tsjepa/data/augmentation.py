@@ -18,6 +18,7 @@ from tsjepa.parallel import rank_and_world_size
 
 LUMA = (0.299, 0.587, 0.114)  # ITU-R BT.601, the luma component that colour dropping keeps
 MID_GREY = 0.5  # contrast turns about it
+CACHED = 4  # windows whose patches a processor's cache holds
 RGB_TO_YIQ = ((0.299, 0.587, 0.114), (0.5959, -0.2746, -0.3213), (0.2115, -0.5227, 0.3112))
 
 
@@ -49,8 +50,14 @@ class Augmentation(nn.Module):
         yiq = torch.tensor(RGB_TO_YIQ)
         self.register_buffer("yiq", yiq, persistent=False)
         self.register_buffer("rgb", torch.linalg.inv(yiq), persistent=False)
-        self.register_buffer("mean", torch.tensor(PIXEL_MEAN), persistent=False)
-        self.register_buffer("std", torch.tensor(PIXEL_STD), persistent=False)
+        mean, std = torch.tensor(PIXEL_MEAN), torch.tensor(PIXEL_STD)
+        self.register_buffer("mean", mean, persistent=False)
+        self.register_buffer("std", std, persistent=False)
+        self.register_buffer("eye", torch.eye(3), persistent=False)
+        self.register_buffer("from_bytes", affine(torch.eye(3) / 255), persistent=False)
+        self.register_buffer("luma", torch.tensor(LUMA).expand(3, 3), persistent=False)
+        self.register_buffer("to_luma", affine(self.luma), persistent=False)
+        self.register_buffer("normalize", affine(torch.diag(1 / std), (-mean / std).view(3, 1)), persistent=False)
 
     def forward(self, patches: Tensor, generator: torch.Generator, shared: int = 1) -> Tensor:
         """Augments and normalises stacks of frames.
@@ -63,20 +70,22 @@ class Augmentation(nn.Module):
         Returns:
             Patches of the same shape for ``Encoder.embed``; in the autocast dtype, else float32.
         """
-        count, device = len(patches), patches.device
+        groups, device = len(patches) // shared, patches.device
         rank, world_size = rank_and_world_size()  # under data parallelism, this process's share of the batch's draws
-        draws = self.draw(count // shared * world_size, generator)[rank::world_size]
-        draws = draws.to(device).repeat_interleave(shared, 0)
+        draws = self.draw(groups * world_size, generator)[rank::world_size].to(device)
         dtype = torch.get_autocast_dtype(device.type) if torch.is_autocast_enabled(device.type) else torch.float32
         if self.blur_sigma is not None:
             patches = patchify(self.blur(unpatchify(patches), generator))
         # one colour map for the 16 pixels of a patch: a block-diagonal 48x48 product keeps the matrix units busy
-        matrix = torch.zeros(count, PATCH**2, 3, PATCH**2, 3, dtype=dtype, device=device)
+        matrix = torch.zeros(groups, PATCH**2, 3, PATCH**2, 3, dtype=dtype, device=device)
         matrix.diagonal(dim1=1, dim2=3).copy_(draws[:, :, :3].transpose(1, 2)[..., None])
-        offset = draws[:, None, None, :, 3].expand(-1, 1, PATCH**2, -1).reshape(count, 1, -1).to(dtype)
-        mapped = torch.baddbmm(
-            offset, patches.view(count, -1, 3 * PATCH**2).to(dtype), matrix.view(count, 3 * PATCH**2, -1)
-        )
+        offset = draws[:, None, None, :, 3].expand(-1, 1, PATCH**2, -1).reshape(groups, 1, -1).to(dtype)
+        matrix, rows = matrix.view(groups, 3 * PATCH**2, -1), patches.view(groups, -1, 3 * PATCH**2)
+        mapped = torch.empty(rows.shape, dtype=dtype, device=device)
+        # a few windows at a time: what passes between the two operations then stays in the processor's cache
+        step = CACHED if device.type == "cpu" else groups
+        for part in map(slice, range(0, groups, step), range(step, groups + step, step)):
+            torch.baddbmm(offset[part], rows[part].to(dtype), matrix[part], out=mapped[part])
         return mapped.view(patches.shape)
 
     def draw(self, count: int, generator: torch.Generator) -> Tensor:
@@ -84,7 +93,7 @@ class Augmentation(nn.Module):
         uniform = torch.rand(count, 6, generator=generator).to(self.yiq.device)
         order = torch.rand(count, 4, generator=generator).argsort(dim=1).to(self.yiq.device)
         signed = 2 * uniform - 1
-        eye, luma = torch.eye(3, device=self.yiq.device), torch.tensor(LUMA, device=self.yiq.device).expand(3, 3)
+        eye = self.eye
         column = lambda values: values.view(-1, 1, 1)  # noqa: E731
         bright = column(1 + self.brightness * signed[:, 0]) * eye
         contrast = column(1 + self.contrast * signed[:, 1])
@@ -94,20 +103,13 @@ class Augmentation(nn.Module):
         turn[:, 0, 0] = 1
         turn[:, 1, 1] = turn[:, 2, 2] = angle.cos()
         turn[:, 1, 2], turn[:, 2, 1] = -angle.sin(), angle.sin()
-        maps = torch.stack(
-            (
-                affine(bright),
-                affine(contrast * eye, ((1 - contrast) * MID_GREY).expand(-1, 3, 1)),
-                affine(saturation * eye + (1 - saturation) * luma),
-                affine(self.rgb @ turn @ self.yiq),
-            ),
-            dim=1,
-        )
+        linear = (bright, contrast * eye, saturation * eye + (1 - saturation) * self.luma, self.rgb @ turn @ self.yiq)
+        maps = affine(torch.stack(linear, dim=1))
+        maps[:, 1, :3, 3] = ((1 - contrast) * MID_GREY)[..., 0]
         maps = maps.gather(1, order.view(-1, 4, 1, 1).expand(-1, -1, 4, 4))
         colour = maps[:, 3] @ maps[:, 2] @ maps[:, 1] @ maps[:, 0]
-        colour = torch.where(column(uniform[:, 4] < self.grayscale), affine(luma) @ colour, colour)
-        normalize = affine(torch.diag(1 / self.std), (-self.mean / self.std).view(3, 1))
-        return (normalize @ colour @ affine(eye / 255))[:, :3]
+        colour = torch.where(column(uniform[:, 4] < self.grayscale), self.to_luma @ colour, colour)
+        return (self.normalize @ colour @ self.from_bytes)[:, :3]
 
     def blur(self, frames: Tensor, generator: torch.Generator) -> Tensor:
         """5x5 Gaussian blur of frames [N, frame_stack, H, W, 3], one standard deviation per sample; returns float32."""

@@ -133,5 +133,10 @@ class WindowDataset(Dataset):
 
     def stack(self, newest: Tensor) -> Tensor:
         """Patches [..., H / 4, W / 4, 48 * kappa] of the stacks that end at the frames numbered ``newest`` [...]."""
-        parts = [self.patches.index_select(0, (newest + offset).flatten()) for offset in self.offsets]
-        return torch.cat(parts, dim=-1).unflatten(0, newest.shape)
+        stacks = self.patches.new_empty(
+            newest.numel(), *self.patches.shape[1:3], len(self.offsets), self.patches.shape[3]
+        )
+        for frame, offset in enumerate(self.offsets):
+            # straight to its place: to concatenate afterwards would read and write every byte once more
+            torch.index_select(self.patches, 0, (newest + offset).flatten(), out=stacks[..., frame, :])
+        return stacks.flatten(3).unflatten(0, newest.shape)
