@@ -94,8 +94,15 @@ def test_fleet(tmp_path, script):
     assert result["frame_bytes_per_observation"] == 2 * 64 * 128 * 3
     assert [row["devices"] for row in result["fleet"]] == [1, 3]
     assert all(row["fleet_over_alone"]["min"] > 0 and row["fleet_over_alone"]["rounds"] == 2 for row in result["fleet"])
-    assert result["encoding"]["batched_over_one_by_one"]["min"] > 0
-    assert len(rows(script, "fleet", result)) == 4
+    encoding = result["encoding"]
+    assert all(encoding[way]["over_one_by_one"]["min"] > 0 for way in ("batched", "bfloat16"))
+    assert 0.999 < encoding["least_cosine_of_bfloat16"] < 1.00001
+    assert len(rows(script, "fleet", result)) == 6
+    # at three times one by one, or at what the FLOPs allow
+    for ratio, share, met in ((3.0, 0.5, "yes"), (2.9, 0.9, "yes"), (2.9, 0.89, "no")):
+        for name, value in (("over_one_by_one", ratio), ("over_float32_floor", share)):
+            encoding["bfloat16"][name] = {"median": value, "min": value, "max": value, "rounds": 2}
+        assert rows(script, "fleet", result)[4][-1] == met
 
 
 def test_shares_of_the_floor(script):

@@ -191,6 +191,10 @@ def run_command(command: str, options: list[str], program: str = "tsjepa") -> No
     class Parser(ArgumentParser):
         error = _error_method(f"{program} {command}")
 
+    from tsjepa.training.allocator import keep_freed_memory
+
+    keep_freed_memory()
+
     module, name = COMMANDS[command][0].split(":")
     function: Callable = getattr(importlib.import_module(module), name)
     parser = Parser(prog=f"{program} {command}", description=COMMANDS[command][1])

@@ -1,6 +1,7 @@
 import pytest
 import torch
 
+import tsjepa
 from tsjepa.models import Encoder
 from tsjepa.models.encoder import PIXEL_MEAN, PIXEL_STD, patchify, unpatchify
 
@@ -24,6 +25,29 @@ def test_normalisation_is_the_per_channel_affine_map_of_the_paper():
     mean, std = torch.tensor(PIXEL_MEAN), torch.tensor(PIXEL_STD)
     expected = patchify((stacks / 255 - mean) / std)
     torch.testing.assert_close(Encoder(widths=(4, 4, 4)).normalize(stacks), expected, atol=1e-5, rtol=1e-5)
+
+
+def test_normalisation_in_place_changes_neither_a_bit_nor_the_frames():
+    stacks, encoder = frames(3), Encoder(widths=(4, 4, 4))
+    expected = patchify(stacks).float() * encoder.pixel_scale + encoder.pixel_shift
+    before = stacks.clone()
+    assert torch.equal(encoder.normalize(stacks), expected)
+    assert torch.equal(stacks, before)
+
+
+def test_a_fleets_embeddings_in_bfloat16_agree_with_float32():
+    from tsjepa.envs import Renderer
+
+    model = tsjepa.load("tsjepa-cartpole")
+    poses = torch.rand(32, 2, generator=torch.Generator().manual_seed(0)).numpy() - 0.5
+    pictures = torch.from_numpy(Renderer().render(poses)).unflatten(0, (16, 2))
+    with torch.no_grad():
+        exact = model.encode(pictures)
+        with torch.autocast("cpu", torch.bfloat16):
+            ours = model.encode(pictures)
+        assert torch.nn.functional.cosine_similarity(ours, exact).min() > 0.9998
+        # in newtons, of commands that reach 20
+        assert (model.act(ours) - model.act(exact)).abs().max() < 0.4
 
 
 def test_embeddings_have_unit_length_and_the_batch_shape_of_the_frames():
