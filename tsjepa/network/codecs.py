@@ -116,10 +116,10 @@ class RawFrameCodec(nn.Module):
 
     def encode(self, values: Tensor) -> Tensor:
         _check_frames(values, self.shape)
-        return values.reshape(values.shape[0], -1)
+        return values.flatten(1)
 
     def decode(self, packets: Tensor) -> Tensor:
-        return packets.reshape(-1, *self.shape)
+        return packets.reshape(len(packets), *self.shape)
 
 
 class ImageCodec(nn.Module):

@@ -46,7 +46,7 @@ def made_up_rows(figure: str, point: dict, numbers: np.random.Generator) -> list
         rows[0] |= {"x": curve(count), "y": curve(count), "position": curve(30), "angle": curve(30)}
         return rows
     if figure in ("devices_encoding", "devices_prediction", "schedulers"):
-        measured = {"num_devices": 40, "score": 0.8, "mean_age": 3.0, "failed": 0.1}
+        measured = {"num_devices": point.get("also_at", 40), "score": 0.8, "mean_age": 3.0, "failed": 0.1}
         counted = {"bound": "exact"}
         return [{"seed": seed, **measured} for seed in seeds] + [
             {"seed": seed, "devices": 10 + 50 * numbers.random(), **counted} for seed in seeds

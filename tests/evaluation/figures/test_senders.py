@@ -67,6 +67,13 @@ def test_lossless_stills_arrive_bit_by_bit(codec):
         assert torch.equal(stream.send(pair[None], slot == 0)[0], Stacker().encode(pair[None]))
 
 
+@pytest.mark.parametrize("codec", ["raw", "png"])
+def test_in_a_slot_without_updates_nothing_is_sent(codec):
+    codec = make_codec(codec, frame_stack=2)
+    nothing = moving_square(1)[:0]
+    assert codec.decode(codec.encode(nothing)).shape == nothing.shape
+
+
 def test_a_lower_quality_needs_fewer_bits_and_shows_the_frames_less_well():
     frames = moving_square(3)
     sent = []
