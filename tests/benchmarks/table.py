@@ -93,6 +93,11 @@ def training_step(result: dict) -> Iterator[Row]:
     yield Row(
         name, figure, f"resident random batch: {middle(rates['resident'])}", ratio, ratio["target"], ratio["median"]
     )
+    floor = (
+        f"{result['gigaflop_per_step']:.0f} GFLOP a step at bfloat16's "
+        f"{result['bfloat16_gemm_gigaflop_per_second']:,.0f} GFLOP/s"
+    )
+    yield Row(name, figure, floor, result["training_over_flop_floor"])
     peak, limit = result["peak_memory_gib"], result["peak_memory_target_gib"]
     yield Row(f"{name}, memory", f"{peak:.2f} GiB", target=limit, value=peak, at_most=True)
 
@@ -156,13 +161,16 @@ def network(result: dict) -> Iterator[Row]:
 
 
 def fleet(result: dict) -> Iterator[Row]:
+    peak = result["gemm_gigaflop_per_second"]["median"]
     for row in result["fleet"]:
         name = f"fleet, drawn and encoded, I = {row['devices']}, {result['threads']} threads"
         figure = f"{middle(row['device_steps_per_second'])} device-steps/s"
         alone = f"drawing and encoding alone: {middle(row['drawing_and_encoding_alone_per_second'])}"
         yield Row(name, figure, alone, row["fleet_over_alone"])
+        floor = f"the encoder's {result['encoder_megaflop']:.1f} MFLOP each at float32's {peak:.0f} GFLOP/s"
+        yield Row(name, figure, floor, row["fleet_over_encoder_floor"])
     row = result["encoding"]
-    single, peak = row["one_by_one_per_second"], result["gemm_gigaflop_per_second"]["median"]
+    single = row["one_by_one_per_second"]
     floor = f"{result['encoder_megaflop']:.1f} MFLOP each at float32's {peak:.0f} GFLOP/s"
     for way, label in (
         ("batched", "float32"),

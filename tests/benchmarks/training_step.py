@@ -4,7 +4,8 @@
 
 The first is Lightning's own loop over the DataModule: windows read from disk, augmentation, losses, optimizer, moving
 average. The second is a twin of the module whose batch is resident and random and whose augmentation returns patches
-that are ready. After every step of the one the twin takes one over as many slots, so both see the same machine.
+that are ready. After every step of the one the twin takes one over as many slots, so both see the same machine. The
+floor under both is the FLOPs of a step, counted, at the rate at which the same threads then multiply bfloat16 matrices.
 """
 
 import argparse
@@ -16,10 +17,12 @@ import lightning
 import torch
 from report import publish, spread
 from torch import nn
+from torch.utils.flop_counter import FlopCounterMode
 
 from tsjepa.training.allocator import keep_freed_memory
 from tsjepa.training.jepa import TSJEPA
 
+GEMM_SIDE = 2048
 COUNT_BYTES = 1024  # ru_maxrss is in kibibytes on Linux
 
 
@@ -78,6 +81,9 @@ class TakeTurns(lightning.Callback):
         self.twin.augmentation = Ready(torch.randn(patches.shape, generator=generator).to(patches))
         self.resident = torch.randint(0, 256, shape, dtype=torch.uint8, generator=generator).to(patches.device)
         self.optimizer = self.twin.optimizer([p for p in self.twin.parameters() if p.requires_grad])
+        with FlopCounterMode(display=False) as counter:
+            self.step(trainer, batch)
+        self.flops = counter.get_total_flops()
 
     def step(self, trainer, batch) -> None:
         resident = {"patches": self.resident, "commands": torch.zeros_like(batch["commands"])}
@@ -87,6 +93,17 @@ class TakeTurns(lightning.Callback):
         loss.backward()
         self.optimizer.step()
         self.twin.on_train_batch_end(None, resident, 0)
+
+
+def gemm_rate(device: torch.device, rounds: int = 10) -> float:
+    """FLOP/s of a product of square bfloat16 matrices, the best of a few."""
+    matrix = torch.randn(GEMM_SIDE, GEMM_SIDE, dtype=torch.bfloat16, device=device)
+    times = []
+    for _ in range(rounds):
+        start = now()
+        matrix @ matrix
+        times.append(now() - start)
+    return 2 * GEMM_SIDE**3 / min(times)
 
 
 def measure(recipe: str, steps: int, warmup: int, overrides: list[str]) -> dict:
@@ -120,6 +137,7 @@ def measure(recipe: str, steps: int, warmup: int, overrides: list[str]) -> dict:
             f"an epoch of this data set has too few steps for a warm-up of {warmup}; collect more episodes."
         )
     samples = cli.datamodule.frames_per_batch
+    peak = gemm_rate(cli.trainer.strategy.root_device)
     ratios = [theirs / ours for ours, theirs in zip(turns.trained, turns.resident_seconds, strict=True)]
     return {
         "recipe": recipe,
@@ -135,6 +153,9 @@ def measure(recipe: str, steps: int, warmup: int, overrides: list[str]) -> dict:
             "of_total_times": sum(turns.resident_seconds) / sum(turns.trained),
             "target": 0.9,
         },
+        "gigaflop_per_step": turns.flops / 1e9,
+        "bfloat16_gemm_gigaflop_per_second": peak / 1e9,
+        "training_over_flop_floor": spread([turns.flops / peak / seconds for seconds in turns.trained]),
         "peak_memory_gib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * COUNT_BYTES / 2**30,
         "peak_memory_target_gib": 6,
     }
