@@ -9,7 +9,7 @@ from pathlib import Path
 from types import ModuleType
 
 from tsjepa.evaluation.figures import FIGURES, module_of, store
-from tsjepa.evaluation.figures.claims import CLAIMS, UNMEASURED, Claim, Verdict
+from tsjepa.evaluation.figures.claims import CLAIMS, NOT, PARTLY, REPRODUCED, UNMEASURED, Claim, Verdict
 from tsjepa.evaluation.figures.command import RESULTS, redraw
 from tsjepa.files import write_text
 
@@ -45,8 +45,7 @@ def report(output: str = "docs", results: str = RESULTS) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     write_text(folder / "report.md", markdown(modules, records, verdicts, os.path.relpath(results, folder)))
     write_text(folder / "report.html", page(modules, records, verdicts, Path(results)))
-    counts = [f"{sum(v.verdict == kind for v in verdicts.values())} {kind}" for kind in kinds(verdicts)]
-    print(f"{folder / 'report.md'} and {folder / 'report.html'}: {len(verdicts)} claims, {', '.join(counts)}.")
+    print(f"{folder / 'report.md'} and {folder / 'report.html'}: {tally(verdicts)}")
 
 
 def judged(modules: dict[str, ModuleType], records: dict[str, list[dict]]) -> dict[str, Verdict]:
@@ -64,9 +63,11 @@ def unmeasured(claim: Claim, records: list[dict]) -> Verdict:
     return Verdict(UNMEASURED, "", f"{what} yet: {command}")
 
 
-def kinds(verdicts: dict[str, Verdict]) -> list[str]:
-    """The verdicts that occur."""
-    return list(dict.fromkeys(verdict.verdict for verdict in verdicts.values()))
+def tally(verdicts: dict[str, Verdict]) -> str:
+    """How many claims came out how."""
+    said = [verdict.verdict for verdict in verdicts.values()]
+    counts = [f"{said.count(kind)} {kind}" for kind in (REPRODUCED, PARTLY, NOT, UNMEASURED) if kind in said]
+    return f"{len(said)} claims, {', '.join(counts)}."
 
 
 def origins(records: list[dict]) -> list[str]:
@@ -81,7 +82,7 @@ def origins(records: list[dict]) -> list[str]:
 
 def markdown(modules: dict, records: dict, verdicts: dict[str, Verdict], pictures: str) -> str:
     """The page as Markdown; pictures are links."""
-    lines = ["# The paper's figures, ours beside them", "", HEAD, "", "## Verdicts", ""]
+    lines = ["# The paper's figures, ours beside them", "", HEAD, "", "## Verdicts", "", tally(verdicts), ""]
     lines += ["| source | the paper's claim | verdict | our figures | reason |", "|---|---|---|---|---|"]
     for name, claim in CLAIMS.items():
         verdict = verdicts[name]
@@ -109,7 +110,9 @@ def markdown(modules: dict, records: dict, verdicts: dict[str, Verdict], picture
 
 def page(modules: dict, records: dict, verdicts: dict[str, Verdict], pictures: Path) -> str:
     """The page as one HTML file that needs no other."""
-    body = [f"<h1>The paper's figures, ours beside them</h1><p>{code(HEAD)}</p><h2>Verdicts</h2>"]
+    body = [
+        f"<h1>The paper's figures, ours beside them</h1><p>{code(HEAD)}</p><h2>Verdicts</h2><p>{tally(verdicts)}</p>"
+    ]
     body.append("<table><tr><th>source<th>the paper's claim<th>verdict<th>our figures<th>reason</tr>")
     for name, claim in CLAIMS.items():
         verdict = verdicts[name]
