@@ -86,7 +86,7 @@ test: setup ## run the unit tests and a smoke run of the whole chain
 faults: setup ## kill every command fifty times and record what survives (about ten minutes)
 	$(BIN)/python tests/faults/kills.py --kills 50
 
-bench: setup ## measure everything beside its peers and limits, on an otherwise idle machine, and print the table (about ten minutes)
+bench: setup ## measure everything beside its peers and limits, on an otherwise idle machine, and print the table (about three quarters of an hour)
 	@failed=; for name in $(BENCHMARKS); do $(BIN)/python tests/benchmarks/$$name.py || failed="$$failed $$name"; done; \
 	$(PEERS_PYTHON) tests/benchmarks/peers.py || failed="$$failed peers"; \
 	$(BIN)/python tests/benchmarks/table.py; \

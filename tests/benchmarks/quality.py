@@ -1,6 +1,6 @@
 """Seconds from an empty folder to a normalised score of 0.9 and of 0.95 with an update in every slot.
 
-    python tests/benchmarks/quality.py --threads 2            # about ten minutes on two idle cores
+    python tests/benchmarks/quality.py --threads 2            # about twenty minutes on two idle cores
 
 Each of the epoch numbers is a run of its own: in a new, empty folder the commands that a user would type collect the
 data set and train TS-JEPA by recipes/fast.yaml, train the actor by recipes/fast-actor.yaml, and close the loop on the
@@ -86,7 +86,7 @@ def device(accelerator: str) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--epochs", type=int, nargs="+", default=[10, 20], help="of TS-JEPA, one run each")
+    parser.add_argument("--epochs", type=int, nargs="+", default=[10, 20, 32], help="of TS-JEPA, one run each")
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--accelerator", default="auto", choices=("auto", "cpu", "gpu"))
     parser.add_argument("--recipes", help="a folder of recipes to use instead of the package's")

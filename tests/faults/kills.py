@@ -210,6 +210,7 @@ def main() -> None:
     parser.add_argument("--output", default="docs/results/faults.json")
     options = parser.parse_args()
     output = Path(options.output).resolve()
+    output.parent.mkdir(parents=True, exist_ok=True)
     torch.set_num_threads(1)
     with tempfile.TemporaryDirectory() as folder:
         home = Path(folder) / "home"
@@ -219,8 +220,8 @@ def main() -> None:
         for name in options.commands:
             result["commands"][name] = try_case(name, CASES[name], options.kills, home)
             print(json.dumps({name: result["commands"][name]}, indent=1), flush=True)
-    output.parent.mkdir(parents=True, exist_ok=True)
-    write_text(output, json.dumps(result, indent=1) + "\n")
+            # after every command: an hour's kills are not lost with the last
+            write_text(output, json.dumps(result, indent=1) + "\n")
     lost = [name for name, row in result["commands"].items() if row["survived"] < options.kills]
     sys.exit(f"not every kill was survived: {', '.join(lost)}" if lost else 0)
 
