@@ -75,7 +75,7 @@ def test_a_collection_is_whole_and_a_fit_that_finds_none_makes_the_same(run, nam
     metadata = read_metadata(f"again/{name}")
     assert set(metadata["splits"]) == set(recipe["splits"])
     assert metadata["sampling_interval"] == recipe["sampling_interval"]
-    run(next(fit for fit in names("fit") if name in tiny.strings(LOADED[fit]["data"])))
+    run(next(fit for fit in names("fit") if name in tiny.strings(LOADED[fit])))
     assert read_metadata(recipe["path"])["sha256"] == metadata["sha256"]
 
 

@@ -8,6 +8,7 @@ from tensordict import TensorDictBase
 from torch import Tensor, nn
 from tqdm import trange
 
+from tsjepa.data.module import Trajectories
 from tsjepa.data.storage import open_split
 from tsjepa.models.predictor import rollout
 from tsjepa.training.embeddings import embed_split
@@ -87,7 +88,8 @@ def draw(
 class RefinePredictor(lightning.Callback):
     """Runs :func:`refine_predictor` when the fit ends, on the data module's training splits. List it before the export.
 
-    Args: as of :func:`refine_predictor`, with ``starts`` the folder of a data set, whose split "train" is taken.
+    Args: as of :func:`refine_predictor`, with ``starts`` the folder of a data set, whose split "train" is taken, and
+        ``collect_starts`` the recipe that collects it when it does not exist.
     """
 
     def __init__(
@@ -99,13 +101,16 @@ class RefinePredictor(lightning.Callback):
         seed: int = 0,
         start_share: float = 0.0,
         starts: str | None = None,
+        collect_starts: str = "recipes/zoo/starts.yaml",
     ) -> None:
         self.steps, self.horizon, self.batch_size = steps, horizon, batch_size
-        self.learning_rate, self.seed, self.start_share, self.starts = learning_rate, seed, start_share, starts
+        self.learning_rate, self.seed, self.start_share = learning_rate, seed, start_share
+        self.starts, self.collect_starts = starts, collect_starts
 
     def on_fit_start(self, trainer: lightning.Trainer, module: lightning.LightningModule) -> None:
-        if self.starts is not None:
-            open_split(self.starts, "train")  # its absence is told now, not after the fit
+        if self.starts is not None and trainer.is_global_zero:  # now: what is wrong with it is told before the fit
+            Trajectories(path=self.starts, collect=self.collect_starts).prepare_data()
+            open_split(self.starts, "train")
 
     def on_fit_end(self, trainer: lightning.Trainer, module: lightning.LightningModule) -> None:
         if trainer.is_global_zero:
