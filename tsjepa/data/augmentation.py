@@ -55,7 +55,8 @@ class Augmentation(nn.Module):
         self.register_buffer("std", std, persistent=False)
         self.register_buffer("eye", torch.eye(3), persistent=False)
         self.register_buffer("from_bytes", affine(torch.eye(3) / 255), persistent=False)
-        self.register_buffer("luma", torch.tensor(LUMA).expand(3, 3), persistent=False)
+        # not expanded: data parallelism writes into buffers
+        self.register_buffer("luma", torch.tensor(LUMA).repeat(3, 1), persistent=False)
         self.register_buffer("to_luma", affine(self.luma), persistent=False)
         self.register_buffer("normalize", affine(torch.diag(1 / std), (-mean / std).view(3, 1)), persistent=False)
 
