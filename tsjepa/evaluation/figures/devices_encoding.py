@@ -49,6 +49,7 @@ def draw_devices(records: list[dict], path: str | Path, over: str, name: str) ->
     """A panel a label: devices over a field of the points, a line a scheduler."""
     rows = [row for row in flat(records) if "devices" in row]
     labels = [label for label in plots.distinct(rows, "label") if label != CHECK] or [CHECK]
+    labels.sort(key=lambda label: not label.startswith(OURS))
     schedulers = plots.distinct(rows, "scheduler")
     figure, axes = plots.canvas(columns=len(labels), width=3.6)
     for axis, label in zip(axes, labels, strict=True):
