@@ -16,10 +16,14 @@ def record(point: dict, **measures: float) -> dict:
 
 def fleets(counts: dict, **fields) -> list[dict]:
     """Records of device searches: counts by (label, scheduler)."""
-    return [
+    records = [
         record({"label": label, "scheduler": scheduler} | fields, devices=count)
         for (label, scheduler), count in counts.items()
     ]
+    for entry in records:
+        for row in entry["rows"]:
+            row["bound"] = "exact"
+    return records
 
 
 COUNTS = {
@@ -69,6 +73,26 @@ def test_devices_that_fall_short_are_not_hidden(changed, name, verdict, said):
     found = encoding(changed)[name]
     assert found.verdict == verdict
     assert said in found.reason
+
+
+def bounded(count: float, bound: str) -> list[dict]:
+    return [{"seed": seed, "devices": count, "bound": bound} for seed in SEEDS]
+
+
+@pytest.mark.parametrize(
+    ("ours", "theirs", "said", "low"),
+    [
+        ("exact", "exact", "3.0 ± 0.0 times it", 3.0),
+        ("exact", "at most", "at least 3.0 ± 0.0 times it", 3.0),
+        ("at least", "exact", "at least 3.0 ± 0.0 times it", 3.0),
+        ("exact", "at least", "at most 3.0 ± 0.0 times it", 0.0),
+        ("at most", "exact", "at most 3.0 ± 0.0 times it", 0.0),
+        ("at most", "at most", "unknown, about 3.0 ± 0.0 times it", 0.0),
+    ],
+)
+def test_a_search_without_an_end_bounds_the_ratio(ours, theirs, said, low):
+    found = devices_encoding.ratio(bounded(12, ours), bounded(4, theirs))
+    assert (found.times("it"), found.low) == (said, pytest.approx(low))
 
 
 @pytest.mark.parametrize(("kept", "verdict"), [(90, REPRODUCED), (60, PARTLY), (40, NOT)])

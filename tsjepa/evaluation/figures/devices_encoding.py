@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 from tsjepa.evaluation.figures import plots
@@ -19,11 +20,13 @@ CAPTION = (
     "search at 20 MHz checks that. TS-JEPA sends int8 embeddings and predicts between updates; the supervised "
     "controller gets WebP pictures of both frames, or raw frames as in the paper, and its command is held. Power "
     "control brings every device's mean SNR to the target, the decode threshold is 5 dB, fading is independent from "
-    "slot to slot and known; process noise 0.008. Mean and 95 % interval over seeds, the same for all."
+    "slot to slot and known; process noise 0.008. Mean and 95 % interval over seeds, the same for all. A triangle "
+    "points to where the number lies if the smallest fleet, of 4, was already too large."
 )
 MEASURES = ("devices",)
 OURS, RAW, CODED, CHECK = "TS-JEPA", "supervised, raw frames", "supervised, WebP", "TS-JEPA, 20 MHz"
 BEST, RIVALS = "channel_aware", ("round_robin", "opportunistic")
+AT_LEAST, AT_MOST, UNKNOWN = "at least ", "at most ", "unknown, about "
 FAVOURED = 5.0  # times as many devices as the supervised controller with round-robin
 
 
@@ -58,6 +61,10 @@ def draw_devices(records: list[dict], path: str | Path, over: str, name: str) ->
             groups = [(x, plots.select(shown, **{over: x})) for x in sorted(plots.distinct(shown, over))]
             if groups:
                 plots.errorbar(axis, groups, "devices", color=color, label=scheduler)
+            for x, seeds in groups:
+                if seeds[0]["bound"] != "exact":
+                    arrow = "^" if seeds[0]["bound"] == "at least" else "v"
+                    axis.plot(x, plots.mean(seeds, "devices"), arrow, color=color, markersize=9)
         check = plots.select(rows, label=CHECK)
         if check and label == OURS:
             groups = [(check[0][over], check)]
@@ -73,15 +80,37 @@ def draw_devices(records: list[dict], path: str | Path, over: str, name: str) ->
     plots.save(figure, path)
 
 
-def ratio(ours: list[dict], theirs: list[dict]) -> tuple[float, float]:
-    """Mean and half-width of the 95 % interval of the ratio of devices, seed by seed."""
+@dataclass(frozen=True)
+class Ratio:
+    """How many times the devices, seed by seed: mean, half-width of the 95 % interval, and "at least " and the like."""
+
+    mean: float
+    half: float
+    sign: str
+
+    @property
+    def low(self) -> float:
+        """Lower end of the interval; 0 where only an upper bound is known."""
+        return 0.0 if self.sign in (AT_MOST, UNKNOWN) else self.mean - self.half
+
+    def times(self, name: str) -> str:
+        """In words."""
+        return f"{self.sign}{self.mean:.1f} ± {self.half:.1f} times {name}"
+
+
+def ratio(ours: list[dict], theirs: list[dict]) -> Ratio:
+    """Devices of ours over theirs; a search that ended at its smallest or largest size makes it a bound."""
     other = {row["seed"]: row["devices"] for row in theirs}
-    return interval([row["devices"] / other[row["seed"]] for row in ours if row["seed"] in other])
+    mean, half = interval([row["devices"] / other[row["seed"]] for row in ours if row["seed"] in other])
+    low = ours[0]["bound"] == "at least" or theirs[0]["bound"] == "at most"
+    high = ours[0]["bound"] == "at most" or theirs[0]["bound"] == "at least"
+    return Ratio(mean, half, UNKNOWN if low and high else AT_LEAST if low else AT_MOST if high else "")
 
 
-def said(name: str, times: tuple[float, float]) -> str:
-    """A ratio with its interval."""
-    return f"{times[0]:.1f} ± {times[1]:.1f} times {name}"
+def counted(rows: list[dict]) -> str:
+    """Devices with their interval, or the bound that is known."""
+    bound = rows[0]["bound"]
+    return plots.text(rows, "devices", 0) if bound == "exact" else f"{bound} {plots.mean(rows, 'devices'):.0f}"
 
 
 def verdicts(records: list[dict]) -> dict[str, Verdict]:
@@ -101,14 +130,14 @@ def verdicts(records: list[dict]) -> dict[str, Verdict]:
     if not own:
         return {}
     listed = "; ".join(
-        f"{snr:g} dB: {plots.text(of(OURS, BEST, snr), 'devices', 0)} devices, "
-        + ", ".join(said(rival, own[snr, rival]) for rival in RIVALS if (snr, rival) in own)
+        f"{snr:g} dB: {counted(of(OURS, BEST, snr))} devices, "
+        + ", ".join(own[snr, rival].times(rival) for rival in RIVALS if (snr, rival) in own)
         for snr in snrs
     )
     check = plots.select(rows, label=CHECK)
     if check:
-        listed += f"; at {check[0]['snr_target_db']:g} dB and 20 MHz without scaling {plots.text(check, 'devices', 0)}"
-    ahead = [mean - half > 1 for mean, half in own.values()]
+        listed += f"; at {check[0]['snr_target_db']:g} dB and 20 MHz without scaling {counted(check)}"
+    ahead = [times.low > 1 for times in own.values()]
     last = [
         plots.mean(of(OURS, "opportunistic", snr), "devices") < plots.mean(of(OURS, "round_robin", snr), "devices")
         for snr in snrs
@@ -137,8 +166,8 @@ def _resources(of, snrs: list[float]) -> dict[str, Verdict]:
     return {
         "snr_resources": judge(
             plots.mean(of(OURS, BEST, high), "devices") < plots.mean(of(OURS, BEST, low), "devices"),
-            f"{plots.text(of(OURS, BEST, low), 'devices', 0)} devices per 20 MHz at {low:g} dB, "
-            f"{plots.text(of(OURS, BEST, high), 'devices', 0)} at {high:g} dB",
+            f"{counted(of(OURS, BEST, low))} devices per 20 MHz at {low:g} dB, {counted(of(OURS, BEST, high))} at "
+            f"{high:g} dB",
             f"it costs {high - low:g} dB more power, but less bandwidth: an update takes fewer resource units and is "
             "seldom lost",
             partly=True,
@@ -161,27 +190,27 @@ def _beside_supervised(of, snrs: list[float], own: dict) -> dict[str, Verdict]:
         return {}
 
     def listed(times: dict, scheduler: str) -> str:
-        return "; ".join(f"{snr:g} dB: {said(f'{name}, {scheduler}', value)}" for (name, snr), value in times.items())
+        return "; ".join(f"{snr:g} dB: {value.times(f'{name}, {scheduler}')}" for (name, snr), value in times.items())
 
-    above = [mean - half > 1 for mean, half in robin.values()]
-    favoured = {name for name in robin if robin[name][0] < FAVOURED}
-    behind = {name for name, (mean, half) in own.items() if mean - half <= 1}
+    above = [times.low > 1 for times in robin.values()]
+    short = [name for name, times in robin.items() if times.mean < FAVOURED or not times.low]
+    behind = [name for name, times in own.items() if times.low <= 1]
     return {
         "scales": judge(all(above), listed(robin, "round-robin"), "not at every SNR", any(above)),
         "goal_devices": judge(
-            not favoured and not behind,
+            not short and not behind,
             f"{listed(robin, 'round-robin')}; "
-            + "; ".join(f"{snr:g} dB: {said(f'its own {rival}', times)}" for (snr, rival), times in own.items()),
+            + "; ".join(f"{snr:g} dB: {times.times(f'its own {rival}')}" for (snr, rival), times in own.items()),
             "; ".join(
-                [f"less than {FAVOURED:g} times {name} at {snr:g} dB" for name, snr in favoured]
+                [f"less than {FAVOURED:g} times {name} at {snr:g} dB" for name, snr in short]
                 + [f"not clearly ahead of its own {rival} at {snr:g} dB" for snr, rival in behind]
             ),
             partly=all(above),
         ),
         "devices_controllers": judge(
-            all(mean - half > 1 for mean, half in same.values()),
+            all(times.low > 1 for times in same.values()),
             listed(same, "channel-aware"),
             "not at every SNR and for every coding of the frames",
-            partly=any(mean - half > 1 for mean, half in same.values()),
+            partly=any(times.low > 1 for times in same.values()),
         ),
     }

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from tsjepa.evaluation.figures import devices_encoding, plots
 from tsjepa.evaluation.figures.claims import Verdict, judge
-from tsjepa.evaluation.figures.devices_encoding import BEST, OURS, RIVALS, ratio, said
+from tsjepa.evaluation.figures.devices_encoding import BEST, OURS, RIVALS, ratio
 from tsjepa.evaluation.figures.store import flat
 
 TITLE = "Devices supported against packet loss"
@@ -45,12 +45,12 @@ def verdicts(records: list[dict]) -> dict[str, Verdict]:
         return {}
     found = {
         "devices_loss": judge(
-            all(mean - half > 1.5 for mean, half in times.values()),
+            all(value.low > 1.5 for value in times.values()),
             "; ".join(
-                f"loss {loss:g}: {said(f'supervised, {rival}', value)}" for (loss, rival), value in times.items()
+                f"loss {loss:g}: {value.times(f'supervised, {rival}')}" for (loss, rival), value in times.items()
             ),
             "less than half as many again at some loss",
-            partly=all(mean > 1 for mean, _ in times.values()),
+            partly=all(value.low > 1 for value in times.values()),
         )
     }
     kept = {

@@ -7,7 +7,7 @@ from pathlib import Path
 from tsjepa.evaluation.figures import plots
 from tsjepa.evaluation.figures.claims import Verdict, judge
 from tsjepa.evaluation.figures.devices import device_rows
-from tsjepa.evaluation.figures.devices_encoding import ratio, said
+from tsjepa.evaluation.figures.devices_encoding import ratio
 from tsjepa.evaluation.figures.grids import grid
 from tsjepa.evaluation.figures.store import flat
 
@@ -88,9 +88,9 @@ def verdicts(records: list[dict]) -> dict[str, Verdict]:
     )
     return {
         "scheduler_helps": judge(
-            all(mean - half > 1 for mean, half in times.values()),
+            all(value.low > 1 for value in times.values()),
             f"{plots.text(of('channel_aware', 'devices'), 'devices', 1)} devices, "
-            + ", ".join(said(rival, value) for rival, value in times.items())
+            + ", ".join(value.times(rival) for rival, value in times.items())
             + f"; mean age in slots: {ages}",
             "not ahead of both",
         )
