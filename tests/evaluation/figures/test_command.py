@@ -117,7 +117,7 @@ def test_a_plot_is_redrawn_from_its_file_alone(figure, recorded, monkeypatch):
     monkeypatch.setattr(module_of(figure), "evaluate", lambda point: pytest.fail("a sweep ran"))
     drawn = []
     for _ in range(2):
-        assert cli.main(["figures", "--figure", figure, "--output", str(recorded)]) == 0
+        assert cli.main(["figures", "--figure", figure, "--results", str(recorded)]) == 0
         drawn.append((recorded / f"{figure}.png").read_bytes())
     assert drawn[0] == drawn[1]
     assert len(drawn[0]) > 5000
@@ -164,14 +164,14 @@ def test_without_results_every_claim_is_said_to_be_unmeasured(tmp_path, capsys):
     ],
 )
 def test_wrong_options_are_answered_in_one_sentence(options, said, capsys, tmp_path):
-    assert cli.main(["figures", "--output", str(tmp_path), *options]) == 2
+    assert cli.main(["figures", "--results", str(tmp_path), *options]) == 2
     complaint = capsys.readouterr().err
     assert said in complaint and len(complaint.splitlines()) == 1
 
 
 def test_a_small_sweep_by_the_command_and_its_check(tmp_path, capsys):
     settings = {"intervals_ms": [20, 40], "augmentations": ["none"], "seeds": 2, "episodes": 1, "pairs": 2}
-    options = ["figures", "--figure", "frame_change", "--output", str(tmp_path)]
+    options = ["figures", "--figure", "frame_change", "--results", str(tmp_path)]
     assert cli.main([*options, "--settings", json.dumps(settings), "--recompute", "true"]) == 0
     assert len(store.read(tmp_path, "frame_change")) == 2
     assert cli.main([*options, "--check", "true"]) == 0

@@ -25,7 +25,7 @@ def figures(
     check: bool = False,
     launcher: Literal["serial", "processes", "ray"] = "serial",
     workers: int | None = None,
-    output: str = RESULTS,
+    results: str = RESULTS,
 ) -> None:
     """Redraws figures from what is recorded; no sweep runs unless asked for.
 
@@ -37,19 +37,19 @@ def figures(
         check: run the quickest recorded point of each sweep again, and fail unless it lies in its recorded interval.
         launcher: one point after the other, over processes, or over a Ray cluster (extra `ray`).
         workers: processes at a time, by default one a core.
-        output: folder of the recorded results and the pictures.
+        results: folder of the recorded results and the pictures; sweeps of two figures may fill it at once.
     """
     if settings is not None and figure is None:
         raise ValueError("settings belong to one figure: name it, as in --figure bits.")
     names = FIGURES if figure is None else (figure,)
     if check:
-        return check_all(names, output, launcher)
+        return check_all(names, results, launcher)
     for name in names:
         module = module_of(name)
         if recompute:
             points = points_of(module, settings or recipe_settings(name))
-            run_sweep(module, points, output, launcher, workers or os.cpu_count())
-        redraw(module, output)
+            run_sweep(module, points, results, launcher, workers or os.cpu_count())
+        redraw(module, results)
 
 
 def recipe_settings(figure: str) -> dict:
