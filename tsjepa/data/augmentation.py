@@ -18,7 +18,6 @@ from tsjepa.parallel import rank_and_world_size
 
 LUMA = (0.299, 0.587, 0.114)  # ITU-R BT.601, the luma component that colour dropping keeps
 MID_GREY = 0.5  # contrast turns about it
-CACHED = 4  # windows whose patches a processor's cache holds
 RGB_TO_YIQ = ((0.299, 0.587, 0.114), (0.5959, -0.2746, -0.3213), (0.2115, -0.5227, 0.3112))
 
 
@@ -81,12 +80,8 @@ class Augmentation(nn.Module):
         matrix = torch.zeros(groups, PATCH**2, 3, PATCH**2, 3, dtype=dtype, device=device)
         matrix.diagonal(dim1=1, dim2=3).copy_(draws[:, :, :3].transpose(1, 2)[..., None])
         offset = draws[:, None, None, :, 3].expand(-1, 1, PATCH**2, -1).reshape(groups, 1, -1).to(dtype)
-        matrix, rows = matrix.view(groups, 3 * PATCH**2, -1), patches.view(groups, -1, 3 * PATCH**2)
-        mapped = torch.empty(rows.shape, dtype=dtype, device=device)
-        # a few windows at a time: what passes between the two operations then stays in the processor's cache
-        step = CACHED if device.type == "cpu" else groups
-        for part in map(slice, range(0, groups, step), range(step, groups + step, step)):
-            torch.baddbmm(offset[part], rows[part].to(dtype), matrix[part], out=mapped[part])
+        rows = patches.view(groups, -1, 3 * PATCH**2).to(dtype)
+        mapped = torch.baddbmm(offset, rows, matrix.view(groups, 3 * PATCH**2, -1))
         return mapped.view(patches.shape)
 
     def draw(self, count: int, generator: torch.Generator) -> Tensor:
