@@ -24,7 +24,7 @@ WIDTH, MARGIN, GAP = 800, 12, 24
 HEAD, FOOT = 92, 46
 TILE_ASPECT = 0.92  # height over width
 SCALE = 2  # drawn so much larger and averaged down
-COLORS = 40  # of the GIF's palette
+COLORS = 96  # of the GIF's palette
 STALE_AGE = 25  # slots; a tile is fully shaded from here on
 # RGB
 PAPER, INK, MUTED, LINE = (255, 255, 255), (38, 42, 48), (120, 126, 134), (222, 225, 229)
@@ -72,8 +72,9 @@ def film(
         fleet("Raw frames, round-robin", theirs, "raw", "round_robin", num_devices, bandwidth_mhz, slots, seed),
     ]
     pictures = [Image.fromarray(picture(sides, slot, bandwidth_mhz)) for slot in range(0, slots, every)]
-    # one palette for all, from the last picture, which has every colour: what stays the same then costs nothing
-    palette = pictures[-1].quantize(COLORS, dither=Image.Dither.NONE)
+    # one palette for all, so that what stays the same costs nothing, and of all colours however small their areas
+    shown = np.concatenate([np.asarray(image) for image in pictures[::10]])
+    palette = Image.fromarray(shown).quantize(COLORS, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
     pictures = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in pictures]
     path = Path(output) / "fleet.gif"
     path.parent.mkdir(parents=True, exist_ok=True)
