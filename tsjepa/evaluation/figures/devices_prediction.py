@@ -11,7 +11,8 @@ from tsjepa.evaluation.figures.store import flat
 
 TITLE = "Devices supported against packet loss"
 CAPTION = (
-    "As the figure before, at a mean SNR of 20 dB, with packets erased independently besides. Prediction is what "
+    "As the figure before, at a mean SNR of 20 dB and half the scaled bandwidths, with packets erased independently "
+    "besides, which no scheduler foresees but as a probability. Prediction is what "
     "TS-JEPA adds to its smaller packets: the panel in the middle is the same model with its command held between "
     "updates."
 )
