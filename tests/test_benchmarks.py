@@ -103,8 +103,8 @@ def test_fleet(tmp_path, script):
     # at three times one by one, or at what the FLOPs allow
     for ratio, share, met in ((3.0, 0.5, "yes"), (2.9, 0.9, "yes"), (2.9, 0.89, "no")):
         for name, value in (("over_one_by_one", ratio), ("over_float32_floor", share)):
-            encoding["bfloat16"][name] = {"median": value, "min": value, "max": value, "rounds": 2}
-        assert rows(script, "fleet", result)[6][-1] == met
+            encoding["batched"][name] = {"median": value, "min": value, "max": value, "rounds": 2}
+        assert rows(script, "fleet", result)[4][-1] == met
 
 
 def test_shares_of_the_floor(script):
