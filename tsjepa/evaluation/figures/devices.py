@@ -22,6 +22,7 @@ from tsjepa.network.codecs import make_codec, payload_bits
 
 ACCEPTABLE = 0.74  # normalised score (the paper's [0.74, 1.0])
 PER_OCTAVE = 2
+SLACK = 0.05  # score by which one seed may stay below the acceptable one for all to be tried
 RADIO_FIELDS = ("resource_blocks", "bandwidth_mhz", "snr_target_db", "csi", "csi_delay", "max_doppler_hz")
 FULL_BANDWIDTH_MHZ = 20.0
 RESERVED_OVER_LARGEST = 1.1  # what a device reserves for a picture, over the largest that the expert's loops show
@@ -108,7 +109,8 @@ def bracket(
 ) -> tuple[dict[int, list[float]], str]:
     """Scores of all seeds at the two neighbouring sizes between which their mean crosses the acceptable one.
 
-    The first seed alone is bisected; the others are tried where it crosses, and from there outwards as far as needed.
+    The first seed alone is bisected, with some slack, for small fleets are noisy and where fading is what costs score
+    the curve is flat; all seeds are then tried from there downwards, until a size is acceptable.
 
     Args:
         scores: from a size and a number of seeds to the score of each; asked again it answers the same, for nothing.
@@ -122,7 +124,7 @@ def bracket(
     good, bad = -1, len(sizes)
     while bad - good > 1:
         middle = (good + bad) // 2
-        good, bad = (middle, bad) if scores(sizes[middle], 1)[0] >= ACCEPTABLE else (good, middle)
+        good, bad = (middle, bad) if scores(sizes[middle], 1)[0] >= ACCEPTABLE - SLACK else (good, middle)
 
     def acceptable(index: int) -> bool:
         return mean(scores(sizes[index], seeds)) >= ACCEPTABLE
