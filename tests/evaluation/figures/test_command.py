@@ -149,6 +149,14 @@ def test_the_report_has_a_line_for_every_claim_and_holds_its_pictures(recorded, 
     assert claims.UNMEASURED not in text
 
 
+def test_a_verdict_from_part_of_a_sweep_says_so(recorded, tmp_path):
+    records = store.read(recorded, "frame_change")
+    store.write(tmp_path / "part", "frame_change", records[:-1])
+    assert cli.main(["report", "--output", str(tmp_path), "--results", str(tmp_path / "part")]) == 0
+    text = (tmp_path / "report.md").read_text()
+    assert f"from {len(records) - 1} of {len(records)} points of the sweep" in text
+
+
 def test_without_results_every_claim_is_said_to_be_unmeasured(tmp_path, capsys):
     assert cli.main(["report", "--output", str(tmp_path), "--results", str(tmp_path / "none")]) == 0
     assert f"{len(claims.CLAIMS)} {claims.UNMEASURED}" in capsys.readouterr().out

@@ -5,12 +5,13 @@ from __future__ import annotations
 import base64
 import html
 import os
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
 from tsjepa.evaluation.figures import FIGURES, module_of, store
 from tsjepa.evaluation.figures.claims import CLAIMS, NOT, PARTLY, REPRODUCED, UNMEASURED, Claim, Verdict
-from tsjepa.evaluation.figures.command import RESULTS, redraw
+from tsjepa.evaluation.figures.command import RESULTS, points_of, recipe_settings, redraw
 from tsjepa.files import write_text
 
 HEAD = (
@@ -49,10 +50,18 @@ def report(output: str = "docs", results: str = RESULTS) -> None:
 
 
 def judged(modules: dict[str, ModuleType], records: dict[str, list[dict]]) -> dict[str, Verdict]:
-    """A verdict for every claim; "not measured" where the results it needs are not recorded."""
+    """A verdict for every claim; "not measured" where the results it needs are not recorded.
+
+    A verdict from a sweep that is not finished says so.
+    """
     found = {}
     for name, module in modules.items():
-        found |= module.verdicts(records[name]) if records[name] else {}
+        new = module.verdicts(records[name]) if records[name] else {}
+        whole = len(points_of(module, recipe_settings(name)))
+        if len(records[name]) < whole:
+            note = f"so far, from {len(records[name])} of {whole} points of the sweep: "
+            new = {key: replace(verdict, ours=note + verdict.ours) for key, verdict in new.items()}
+        found |= new
     return {name: found.get(name) or unmeasured(claim, records[claim.figure]) for name, claim in CLAIMS.items()}
 
 
