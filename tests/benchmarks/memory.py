@@ -30,9 +30,7 @@ def resident_bytes() -> int:
 def grow(devices: int, slots: int) -> dict:
     """Steps a fleet and watches the memory."""
     plants, radio = Plants(slots=100), Radio(resource_blocks=max(1, devices // 4))
-    env, policy = build_fleet(
-        devices, "channel_aware", 0, plants, radio, fitted_codec(radio.codec, plants, None), LINEAR
-    )
+    env, policy = build_fleet(devices, "channel_aware", 0, plants, radio, fitted_codec(radio.codec, None), LINEAR)
     now, sizes, episodes, began = env.reset(), [], 0, time.monotonic()
     for slot in range(1, slots + 1):
         stepped, now = env.step_and_maybe_reset(now.set("action", policy(now)))

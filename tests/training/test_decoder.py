@@ -76,6 +76,20 @@ def test_the_reconstruction_loss_is_the_squared_error_in_units_of_contrast():
     torch.testing.assert_close(torch.autograd.grad(3 * loss, drawn), torch.autograd.grad(3 * expected, drawn))
 
 
+def test_the_motion_weight_counts_errors_that_differ_from_frame_to_frame():
+    decoder = Decoder(D, frame_stack=3, channels=(16, 16, 8, 8))
+    patches = torch.full((2, 16, 32, 144), 7, dtype=torch.uint8)
+    same, growing = torch.full((2, 16, 32, 144), 7.5), torch.full((2, 16, 32, 144), 7.0)
+    growing[..., 48:96] += 1
+    growing[..., 96:] += 3
+    loss = [
+        [reconstruction_loss(decoder, drawn, patches, weight) for weight in (0.0, 10.0)] for drawn in (same, growing)
+    ]
+    assert loss[0] == [0.25, 0.25]
+    # frames off by 0, 1, 3, their differences by 1, 2
+    torch.testing.assert_close(torch.stack(loss[1]), torch.tensor([10 / 3, 10 / 3 + 10 * 5 / 2]))
+
+
 def test_a_controller_whose_decoder_nobody_trained_says_so_and_else_draws_one_frame():
     model = SemanticController(Architecture(widths=(4, 8, 8), embedding_dim=D)).eval()
     with pytest.raises(ValueError, match="never trained"):

@@ -66,7 +66,7 @@ def simulate(
     for scheduler in schedulers:
         check_scheduler(scheduler)
     brain = load_controller(controller, plants)
-    codec = fitted_codec(radio.codec, plants, None if isinstance(brain, str) else brain)
+    codec = fitted_codec(radio.codec, None if isinstance(brain, str) else brain)
     sizes = [*search_over] if num_devices is None else [num_devices, *search_over]
     best, optimal = optimal_scores(plants, seeds, max(sizes))
     if not optimal[:, : min(sizes)].sum(1).all():

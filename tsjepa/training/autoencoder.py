@@ -31,6 +31,7 @@ class Autoencoder(lightning.LightningModule):
         learning_rate: peak of AdamW; warm-up and cosine decay as in TS-JEPA.
         weight_decay: of AdamW.
         contrast_floor: least unit of a pixel's error, of 255; see :func:`look_around`.
+        motion_weight: of the error in what moves between the frames; see :func:`reconstruction_loss`.
 
     Raises:
         ValueError: encoder and decoder do not fit together.
@@ -43,6 +44,7 @@ class Autoencoder(lightning.LightningModule):
         learning_rate: float = 2e-3,
         weight_decay: float = 1e-4,
         contrast_floor: float = 10.0,
+        motion_weight: float = 20.0,
     ) -> None:
         super().__init__()
         sizes = (encoder.embedding_dim, encoder.frame_shape[0])
@@ -51,7 +53,8 @@ class Autoencoder(lightning.LightningModule):
                 f"The encoder has (embedding_dim, frame_stack) = {sizes}, the decoder "
                 f"{(decoder.embedding_dim, decoder.frame_stack)}; give them the same."
             )
-        self.learning_rate, self.weight_decay, self.contrast_floor = learning_rate, weight_decay, contrast_floor
+        self.learning_rate, self.weight_decay = learning_rate, weight_decay
+        self.contrast_floor, self.motion_weight = contrast_floor, motion_weight
         self.model = AutoencoderController(
             AutoencoderArchitecture(
                 frame_stack=encoder.frame_shape[0],
@@ -85,7 +88,7 @@ class Autoencoder(lightning.LightningModule):
         dtype = torch.get_autocast_dtype(device) if torch.is_autocast_enabled(device) else torch.float32
         patches, scale, shift = patches.to(dtype), encoder.pixel_scale.to(dtype), encoder.pixel_shift.to(dtype)
         embedding = encoder.embed(torch.addcmul(shift, patches, scale))
-        return reconstruction_loss(decoder, decoder.draw(embedding), patches)
+        return reconstruction_loss(decoder, decoder.draw(embedding), patches, self.motion_weight)
 
     def training_step(self, batch: TensorDictBase, batch_index: int) -> Tensor:
         loss = self.reconstruction(batch["patches"].flatten(0, 1))

@@ -25,6 +25,7 @@ PER_OCTAVE = 2
 SLACK = 0.05  # score by which one seed may stay below the acceptable one for all to be tried
 RADIO_FIELDS = ("resource_blocks", "bandwidth_mhz", "snr_target_db", "csi", "csi_delay", "max_doppler_hz")
 FULL_BANDWIDTH_MHZ = 20.0
+CALIBRATION_SEED = 10_000  # starts that no evaluation uses
 RESERVED_OVER_LARGEST = 1.1  # what a device reserves for a picture, over the largest that the expert's loops show
 
 
@@ -50,7 +51,7 @@ def device_rows(point: dict) -> list[dict]:
         model = without_predictor(model)
     history = 2 if model is None else model.frame_history
     plants = Plants(point["slots"], process_noise_std=point["process_noise_std"], frame_history=history)
-    codec = codec_of(point, plants, model)
+    codec = codec_of(point, model)
     radio = radio_of(point, plants, codec, model)
     optimal = optimal_scores(plants, point["seeds"], point["largest"])
     if not optimal[:, : point["smallest"]].sum(1).all():
@@ -165,12 +166,12 @@ def optimal_scores(plants: Plants, seeds: int, count: int) -> torch.Tensor:
     return fleet.optimal_scores(plants, seeds, count)[1]
 
 
-def codec_of(point: dict, plants: Plants, model):
+def codec_of(point: dict, model):
     """The codec of an update, with the quality that the point asks for."""
     if point["codec"] in FRAME_CODECS:
         stack = model.architecture.frame_stack
         return make_codec(point["codec"], quality=point.get("quality") or 50, frame_stack=stack)
-    return fitted_codec(point["codec"], plants, model)
+    return fitted_codec(point["codec"], model)
 
 
 def radio_of(point: dict, plants: Plants, codec, model) -> Radio:
@@ -195,7 +196,6 @@ def radio_of(point: dict, plants: Plants, codec, model) -> Radio:
 def reserved_bits(plants: Plants, codec, model, count: int = 10) -> int:
     """Bits to reserve for a picture: the largest along loops that the expert closes, and a tenth more."""
     from tsjepa.envs.expert import Expert
-    from tsjepa.evaluation.fleet_codecs import CALIBRATION_SEED
 
     camera, expert, largest = Camera(), Expert(plants.sampling_interval), 0
 

@@ -89,7 +89,7 @@ def fleet(title, entry, codec_name, scheduler, num_devices, bandwidth_mhz, slots
     # with equally long histories both fleets have the same starts
     plants = Plants(slots=slots, frame_history=max(2, model.frame_history))
     radio = Radio(resource_blocks=None, bandwidth_mhz=bandwidth_mhz, codec=codec_name)
-    codec = fitted_codec(codec_name, plants, model)
+    codec = fitted_codec(codec_name, model)
     controller = model if codec_name == "int8" else without_predictor(model)
     run = run_fleet(num_devices, scheduler, seed, plants, radio, codec, controller)
     bits = int(run.payload_bits.max())

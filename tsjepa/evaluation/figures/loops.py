@@ -12,7 +12,6 @@ from torch import Tensor
 from tsjepa.evaluation.closed_loop import Starts, is_update, run, true_state_policy
 from tsjepa.evaluation.figures.senders import make_sender
 from tsjepa.evaluation.fleet_codecs import fitted_codec
-from tsjepa.evaluation.fleet_settings import Plants
 from tsjepa.evaluation.metrics import COMMAND_RANGE, Run, normalized_score
 from tsjepa.network.codecs import payload_bits
 
@@ -200,7 +199,7 @@ class RemotePolicy:
             raise ValueError(f"Between updates a controller cannot {self.between!r}; choose predict, hold or zero.")
         self.bits, self.draws = 0, torch.Generator().manual_seed(seed)
         if model is None:
-            self.codec, self.expert = fitted_codec(point["codec"], Plants(), None), Expert(SAMPLING_INTERVAL)
+            self.codec, self.expert = fitted_codec(point["codec"], None), Expert(SAMPLING_INTERVAL)
         else:
             self.sender = make_sender(model, point["sends"], point["codec"], point.get("quality"))
             self.camera = camera or Camera()

@@ -10,7 +10,6 @@ import torch
 from torch import Tensor, nn
 
 from tsjepa.evaluation.fleet_codecs import fitted_codec
-from tsjepa.evaluation.fleet_settings import Plants
 from tsjepa.network.codecs import make_codec, payload_bits
 
 SENDS = ("embedding", "stack", "stream", "video")
@@ -28,8 +27,7 @@ def make_sender(model: nn.Module, sends: str, codec: str, quality: int | None):
         quality: of JPEG and WebP; of H.264 the constant rate factor, 0 to 51, lower is better.
     """
     if sends == "embedding":
-        plants = Plants(sampling_interval=model.architecture.sampling_interval)
-        return EmbeddingSender(model, fitted_codec(codec, plants, model))
+        return EmbeddingSender(model, fitted_codec(codec, model))
     stack = model.architecture.frame_stack
     if sends == "stack":
         return StackSender(model, make_codec(codec, quality=quality or 50, frame_stack=stack))
