@@ -19,12 +19,19 @@ def test_a_grid_is_all_combinations_of_its_lists():
     assert grid({"a": 1}) == [{"a": 1}]
 
 
-def test_the_change_of_a_frame_leaves_black_pixels_out():
+def test_the_change_of_a_frame_leaves_out_what_is_not_known():
     previous = torch.tensor([0.0, 100.0, 200.0]).expand(1, 2, 2, 3)
     frames = torch.tensor([50.0, 150.0, 190.0]).expand(1, 2, 2, 3)
-    error, masked = frame_change.mape(frames, previous)
-    assert error.item() == pytest.approx((50 + 5) / 2)
-    assert masked == pytest.approx(1 / 3)
+    assert frame_change.mape(frames, previous, previous != 0).item() == pytest.approx((50 + 5) / 2)
+    # of a value that was 0 the change is over 1
+    assert frame_change.mape(frames, previous, torch.ones(1, 2, 2, 3, dtype=bool)).item() == pytest.approx(5055 / 3)
+
+
+def test_augmentation_counts_the_pixels_that_count_without_it():
+    sizes = {"interval_ms": 20, "seeds": 1, "episodes": 2, "pairs": 3}
+    plain, augmented = (frame_change.evaluate({"augmentation": kind} | sizes)[0] for kind in ("none", "independent"))
+    assert plain["masked_share"] == augmented["masked_share"] > 0.8
+    assert augmented["median"] > plain["median"]
 
 
 def test_augmentation_of_no_strength_is_the_identity(monkeypatch):
@@ -105,6 +112,14 @@ def test_a_bracket_holds_the_known_crossing_of_a_falling_score(crossing, tried, 
         assert devices.crossings(curve) == pytest.approx([crossing * 2 ** (shift / 0.3) for shift in shifts])
     else:
         assert devices.crossings(curve) == [*tried] * 3
+
+
+def test_where_the_score_hardly_falls_the_next_size_tells_how_far_seeds_are_apart():
+    means, shifts = {16: 0.77, 23: 0.73, 32: 0.3}, (-0.1, 0.0, 0.1)
+    curve, bound = devices.bracket(lambda size, seeds: [means[size] + s for s in shifts[:seeds]], list(means), 3)
+    assert (set(curve), bound) == (set(means), "exact")
+    middle, slope = 16 * (23 / 16) ** 0.75, 0.47  # the score falls by .47 from 16 to 32, an octave
+    assert devices.crossings(curve) == pytest.approx([middle * 2 ** (shift / slope) for shift in shifts])
 
 
 def test_sizes_that_do_not_ascend_are_refused():

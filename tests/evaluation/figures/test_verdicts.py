@@ -1,8 +1,18 @@
 """Verdicts on results whose answer is known."""
 
+import math
+
 import pytest
 
-from tsjepa.evaluation.figures import bits, devices_encoding, devices_prediction, frame_change, one_device
+from tsjepa.evaluation.figures import (
+    bits,
+    devices_encoding,
+    devices_prediction,
+    dimension,
+    frame_change,
+    one_device,
+    schedulers,
+)
 from tsjepa.evaluation.figures.claims import NOT, PARTLY, REPRODUCED
 
 SEEDS = range(3)
@@ -52,17 +62,22 @@ def test_devices_as_the_paper_has_them_are_reproduced():
         "goal_devices",
         "devices_controllers",
     }
-    assert "10.0 ± 0.0 times supervised, WebP, round-robin" in found["goal_devices"].ours
-    assert "2.5 ± 0.0 times its own opportunistic" in found["goal_devices"].ours
+    assert "10.0 (10.0 to 10.0) times supervised, WebP, round-robin" in found["goal_devices"].ours
+    assert "2.5 (2.5 to 2.5) times its own opportunistic" in found["goal_devices"].ours
     assert "100 ± 2" in found["devices_schedulers"].ours
 
 
 @pytest.mark.parametrize(
     ("changed", "name", "verdict", "said"),
     [
-        ({("TS-JEPA", "opportunistic"): 100}, "devices_schedulers", PARTLY, "order"),
+        (
+            {("TS-JEPA", "opportunistic"): 100},
+            "devices_schedulers",
+            PARTLY,
+            "not clearly ahead of its own opportunistic",
+        ),
         ({("TS-JEPA", "opportunistic"): 100}, "goal_devices", PARTLY, "not clearly ahead of its own opportunistic"),
-        ({("TS-JEPA", "opportunistic"): 60}, "opportunistic_last", NOT, "starves nobody"),
+        ({("TS-JEPA", "opportunistic"): 60}, "opportunistic_last", NOT, "clearly the fewest at no SNR"),
         ({("supervised, WebP", "round_robin"): 25}, "goal_devices", PARTLY, "less than 5 times supervised, WebP"),
         ({("supervised, WebP", "round_robin"): 120}, "goal_devices", NOT, "less than 5 times supervised, WebP"),
         ({("supervised, WebP", "round_robin"): 120}, "scales", PARTLY, "not at every SNR"),
@@ -82,17 +97,67 @@ def bounded(count: float, bound: str) -> list[dict]:
 @pytest.mark.parametrize(
     ("ours", "theirs", "said", "low"),
     [
-        ("exact", "exact", "3.0 ± 0.0 times it", 3.0),
-        ("exact", "at most", "at least 3.0 ± 0.0 times it", 3.0),
-        ("at least", "exact", "at least 3.0 ± 0.0 times it", 3.0),
-        ("exact", "at least", "at most 3.0 ± 0.0 times it", 0.0),
-        ("at most", "exact", "at most 3.0 ± 0.0 times it", 0.0),
-        ("at most", "at most", "unknown, about 3.0 ± 0.0 times it", 0.0),
+        ("exact", "exact", "3.0 (3.0 to 3.0) times it", 3.0),
+        ("exact", "at most", "at least 3.0 times it", 3.0),
+        ("at least", "exact", "at least 3.0 times it", 3.0),
+        ("exact", "at least", "at most 3.0 times it", 0.0),
+        ("at most", "exact", "at most 3.0 times it", 0.0),
+        ("at most", "at most", "unknown, about 3.0 times it", 0.0),
     ],
 )
 def test_a_search_without_an_end_bounds_the_ratio(ours, theirs, said, low):
     found = devices_encoding.ratio(bounded(12, ours), bounded(4, theirs))
     assert (found.times("it"), found.low) == (said, pytest.approx(low))
+
+
+def test_a_ratio_is_a_geometric_mean_over_seeds():
+    ours = [{"seed": seed, "devices": count, "bound": "exact"} for seed, count in enumerate((10, 40, 20))]
+    found = devices_encoding.ratio(ours, bounded(5, "exact"))
+    half = 4.302652729911275 * math.log(2) / 3**0.5  # Student's t, 2 degrees of freedom
+    assert found.mean == pytest.approx(4)
+    assert (found.low, found.high) == pytest.approx((4 * math.exp(-half), 4 * math.exp(half)))
+
+
+@pytest.mark.parametrize(("late", "verdict"), [(60, PARTLY), (40, REPRODUCED)])
+def test_schedulers_are_compared_with_late_knowledge_too(late, verdict):
+    counts = {("perfect", "max_age"): 30, ("late", "max_age"): late}
+    counts |= {(case, "channel_aware"): 50 for case in ("perfect", "late")}
+    records = [
+        record({"case": case, "scheduler": scheduler, "also_at": 8}, devices=count)
+        for (case, scheduler), count in counts.items()
+    ]
+    for entry in records:
+        for row in entry["rows"]:
+            row["bound"] = "exact"
+        entry["rows"] += [{"seed": seed, "num_devices": 8, "mean_age": 2.0} for seed in SEEDS]
+    found = schedulers.verdicts(records)["scheduler_helps"]
+    assert found.verdict == verdict
+    assert ("max_age (late)" in found.reason) == (verdict == PARTLY)
+    assert "mean age in slots: channel_aware 2.0, max_age 2.0" in found.ours
+
+
+@pytest.mark.parametrize(("falls", "verdict"), [((0.2, 0.9), REPRODUCED), ((0.01, 0.9), PARTLY), ((0.01, 0.02), NOT)])
+def test_predicting_helps_where_more_would_fall_without(falls, verdict):
+    def row(label, between, period, failed):
+        point = {"label": label, "between": between, "update_every": period}
+        return record(point, score=0.9, failed=failed, nmae=0.1, bits_per_slot=1)
+
+    records = [row("optimal", "hold", 1, 0.0), row("TS-JEPA", "hold", 1, 0.0)]
+    for period, failed in zip((5, 10), falls, strict=True):
+        records += [row("TS-JEPA", "predict", period, 0.0), row("TS-JEPA", "hold", period, failed)]
+    assert one_device.verdicts(records)["prediction_helps"].verdict == verdict
+
+
+@pytest.mark.parametrize(("scores", "verdict"), [((0.5, 0.9), REPRODUCED), ((0.9, 0.91), NOT)])
+def test_a_trend_within_the_noise_of_the_seeds_is_none(scores, verdict):
+    records = []
+    for width, score in zip((16, 256), scores, strict=True):
+        entry = record({"dimension": width, "update_every": 10}, score=score)
+        # the seeds differ by more than the widths do
+        for row in entry["rows"]:
+            row["score"] += 0.1 * (row["seed"] - 1) * (1 if width == 16 else -1)
+        records.append(entry)
+    assert dimension.verdicts(records)["dimension_score"].verdict == verdict
 
 
 @pytest.mark.parametrize(("kept", "verdict"), [(90, REPRODUCED), (60, PARTLY), (40, NOT)])

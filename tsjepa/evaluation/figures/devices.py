@@ -22,6 +22,7 @@ from tsjepa.network.codecs import make_codec, payload_bits
 
 ACCEPTABLE = 0.74  # normalised score (the paper's [0.74, 1.0])
 PER_OCTAVE = 2
+STEEP = 0.1  # fall of the score from which on it is more than the noise of a few seeds
 SLACK = 0.05  # score by which one seed may stay below the acceptable one for all to be tried
 RADIO_FIELDS = ("resource_blocks", "bandwidth_mhz", "snr_target_db", "csi", "csi_delay", "max_doppler_hz")
 FULL_BANDWIDTH_MHZ = 20.0
@@ -110,6 +111,8 @@ def bracket(
 ) -> tuple[dict[int, list[float]], str]:
     """Scores of all seeds at the two neighbouring sizes between which their mean crosses the acceptable one.
 
+    Where the score hardly falls from the one to the other, also at the next size at which it has fallen.
+
     The first seed alone is bisected, with some slack, for small fleets are noisy and where fading is what costs score
     the curve is flat; all seeds are then tried from there downwards, until a size is acceptable.
 
@@ -119,8 +122,8 @@ def bracket(
         seeds: how many.
 
     Returns:
-        By size, ascending; and whether the crossing lies between the two ("exact"), beyond the last size ("at least"),
-        or before the first ("at most"), where there is only that one.
+        By size, ascending; and whether the crossing lies between the first two ("exact"), beyond the last size ("at
+        least"), or before the first ("at most"), where there is only that one.
     """
     good, bad = -1, len(sizes)
     while bad - good > 1:
@@ -135,29 +138,35 @@ def bracket(
     while bad < len(sizes) and acceptable(bad):
         good, bad = bad, bad + 1
     bound = "at most" if good < 0 else "at least" if bad == len(sizes) else "exact"
-    return {sizes[index]: scores(sizes[index], seeds) for index in (good, bad) if 0 <= index < len(sizes)}, bound
+    fallen = bad
+    if bound == "exact":
+        enough = mean(scores(sizes[good], seeds)) - STEEP
+        while fallen + 1 < len(sizes) and mean(scores(sizes[fallen], seeds)) > enough:
+            fallen += 1
+    around = sorted({index for index in (good, bad, fallen) if 0 <= index < len(sizes)})
+    return {sizes[index]: scores(sizes[index], seeds) for index in around}, bound
 
 
 def crossings(curve: dict[int, list[float]]) -> list[float]:
     """Number of devices at which each seed's score crosses the acceptable one.
 
     The mean score falls in proportion to the logarithm of the size between the two sizes; a seed whose score lies above
-    it where the mean crosses has its own crossing further on along the same slope. So no seed's crossing is cut off at
-    the sizes that were tried.
+    it where the mean crosses has its own crossing further on along the slope from the first to the last size. So no
+    seed's crossing is cut off at the sizes that were tried.
 
     Args:
-        curve: scores per seed at two sizes, the mean acceptable at the smaller one alone; with one size that is the
-            answer for every seed.
+        curve: scores per seed at two or three sizes, the mean acceptable at the smallest one alone; with one size that
+            is the answer for every seed.
     """
     if len(curve) == 1:
         ((size, values),) = curve.items()
         return [float(size)] * len(values)
-    (good, above), (bad, below) = sorted(curve.items())
-    fall = mean(above) - mean(below)
-    share = (mean(above) - ACCEPTABLE) / fall
-    octaves = math.log2(bad / good)
+    (good, above), (bad, below), *_ = sorted(curve.items())
+    last, lowest = max(curve.items())
+    share = (mean(above) - ACCEPTABLE) / (mean(above) - mean(below))
+    slope = (mean(above) - mean(lowest)) / math.log2(last / good)
     there = [(1 - share) * high + share * low for high, low in zip(above, below, strict=True)]
-    return [good * 2 ** (octaves * (share + (score - ACCEPTABLE) / fall)) for score in there]
+    return [good * (bad / good) ** share * 2 ** ((score - ACCEPTABLE) / slope) for score in there]
 
 
 @lru_cache(maxsize=8)
