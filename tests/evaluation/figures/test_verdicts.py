@@ -148,7 +148,7 @@ def test_predicting_helps_where_more_would_fall_without(falls, verdict):
     assert one_device.verdicts(records)["prediction_helps"].verdict == verdict
 
 
-@pytest.mark.parametrize(("scores", "verdict"), [((0.5, 0.9), REPRODUCED), ((0.9, 0.91), NOT)])
+@pytest.mark.parametrize(("scores", "verdict"), [((0.3, 0.9), REPRODUCED), ((0.9, 0.91), NOT)])
 def test_a_trend_within_the_noise_of_the_seeds_is_none(scores, verdict):
     records = []
     for width, score in zip((16, 256), scores, strict=True):
