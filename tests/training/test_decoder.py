@@ -86,6 +86,8 @@ def test_the_motion_weight_counts_errors_that_differ_from_frame_to_frame():
         [reconstruction_loss(decoder, drawn, patches, weight) for weight in (0.0, 10.0)] for drawn in (same, growing)
     ]
     assert loss[0] == [0.25, 0.25]
+    one = reconstruction_loss(Decoder(D, channels=(16, 16, 8, 8)), same[..., :48], patches[..., :48], 10.0)
+    assert one == 0.25
     # frames off by 0, 1, 3, their differences by 1, 2
     torch.testing.assert_close(torch.stack(loss[1]), torch.tensor([10 / 3, 10 / 3 + 10 * 5 / 2]))
 

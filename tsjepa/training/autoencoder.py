@@ -31,7 +31,8 @@ class Autoencoder(lightning.LightningModule):
         learning_rate: peak of AdamW; warm-up and cosine decay as in TS-JEPA.
         weight_decay: of AdamW.
         contrast_floor: least unit of a pixel's error, of 255; see :func:`look_around`.
-        motion_weight: of the error in what moves between the frames; see :func:`reconstruction_loss`.
+        motion_weight: of the error in what moves between the frames (see :func:`reconstruction_loss`) at the end; it
+            rises from 0 with the steps, because motion can only be drawn where it is known what stands there.
 
     Raises:
         ValueError: encoder and decoder do not fit together.
@@ -44,7 +45,7 @@ class Autoencoder(lightning.LightningModule):
         learning_rate: float = 2e-3,
         weight_decay: float = 1e-4,
         contrast_floor: float = 10.0,
-        motion_weight: float = 20.0,
+        motion_weight: float = 40.0,
     ) -> None:
         super().__init__()
         sizes = (encoder.embedding_dim, encoder.frame_shape[0])
@@ -81,17 +82,18 @@ class Autoencoder(lightning.LightningModule):
         frames = torch.from_numpy(self.trainer.datamodule.split("train")["pixels"].numpy()).flatten(0, 1)
         look_around(self.model.decoder, frames, self.contrast_floor)
 
-    def reconstruction(self, patches: Tensor) -> Tensor:
+    def reconstruction(self, patches: Tensor, motion_weight: float = 0.0) -> Tensor:
         """Loss on stacks as uint8 patches [N, H / 4, W / 4, 48 * frame_stack]."""
         encoder, decoder = self.model.encoder, self.model.decoder
         device = patches.device.type
         dtype = torch.get_autocast_dtype(device) if torch.is_autocast_enabled(device) else torch.float32
         patches, scale, shift = patches.to(dtype), encoder.pixel_scale.to(dtype), encoder.pixel_shift.to(dtype)
         embedding = encoder.embed(torch.addcmul(shift, patches, scale))
-        return reconstruction_loss(decoder, decoder.draw(embedding), patches, self.motion_weight)
+        return reconstruction_loss(decoder, decoder.draw(embedding), patches, motion_weight)
 
     def training_step(self, batch: TensorDictBase, batch_index: int) -> Tensor:
-        loss = self.reconstruction(batch["patches"].flatten(0, 1))
+        done = self.global_step / self.trainer.estimated_stepping_batches
+        loss = self.reconstruction(batch["patches"].flatten(0, 1), done * self.motion_weight)
         self.log("loss", loss, prog_bar=True)
         return loss
 
@@ -102,7 +104,7 @@ class Autoencoder(lightning.LightningModule):
         self.log_reconstruction("test", batch)
 
     def log_reconstruction(self, stage: str, split: TensorDictBase) -> None:
-        """Logs the loss on a split [episodes, T + 1], every fifth slot of it."""
+        """Logs the error of the frames of a split [episodes, T + 1], every fifth slot of it."""
         data = self.trainer.datamodule
         pixels = torch.from_numpy(split["pixels"].cpu().numpy())
         offsets = data.frame_spacing * torch.arange(1 - data.frame_stack, 1)

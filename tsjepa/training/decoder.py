@@ -64,14 +64,14 @@ def reconstruction_loss(decoder: Decoder, drawn: Tensor, patches: Tensor, motion
         decoder: whose background and contrast count.
         drawn: [N, H / 4, W / 4, channels], what :meth:`Decoder.draw` gave.
         patches: the true frames in the same shape, in 0..255 and of any dtype.
-        motion_weight: of the mean squared error of the differences between each frame and the one before it.
+        motion_weight: of the mean squared error of the differences between each frame and the one before it, if any.
     """
     scale = 1 / decoder.contrast
     shift = -decoder.background * scale
     target = torch.addcmul(shift.to(drawn.dtype), patches.to(drawn.dtype), scale.to(drawn.dtype))
     error = drawn - target
     loss = MeanSquare.apply(error)
-    if motion_weight:
+    if motion_weight and decoder.frame_stack > 1:
         frame = error.shape[-1] // decoder.frame_stack
         loss = loss + motion_weight * MeanSquare.apply(error[..., frame:] - error[..., :-frame])
     return loss
