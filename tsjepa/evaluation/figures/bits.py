@@ -53,7 +53,7 @@ evaluate = loop_rows
 
 def draw(records: list[dict], path: str | Path) -> None:
     """Score over bits per slot, a marker a point; hollow where the frames go into TS-JEPA, or slots are left out."""
-    figure, (axis,) = plots.canvas(width=9.5, height=5.5)
+    figure, (axis,) = plots.canvas(width=12, height=6.5)
     named = set()
     for record in records:
         point = record["point"]
@@ -76,10 +76,16 @@ def draw(records: list[dict], path: str | Path) -> None:
         )
         named.add(name)
         axis.annotate(
-            short_name(point), (bits, score), xytext=(4, 3), textcoords="offset points", fontsize=5, color=color
+            short_name(point),
+            (bits, score),
+            xytext=(2, 4),
+            textcoords="offset points",
+            fontsize=6,
+            color=color,
+            rotation=60,
         )
     axis.axhline(ENOUGH, color="black", linewidth=0.8, linestyle=":")
-    axis.set(xlabel="bits per slot", ylabel="normalised score", xscale="log", ylim=(-0.05, 1.15))
+    axis.set(xlabel="bits per slot", ylabel="normalised score", xscale="log")
     plots.legend(axis, fontsize=7, loc="center left", bbox_to_anchor=(1, 0.5))
     plots.save(figure, path)
 

@@ -63,14 +63,12 @@ def draw_devices(records: list[dict], path: str | Path, over: str, name: str) ->
             groups = [(x, plots.select(shown, **{over: x})) for x in sorted(plots.distinct(shown, over))]
             if groups:
                 plots.errorbar(axis, groups, "devices", color=color, label=scheduler)
-            for x, seeds in groups:
-                if seeds[0]["bound"] != "exact":
-                    arrow = "^" if seeds[0]["bound"] == "at least" else "v"
-                    axis.plot(x, plots.mean(seeds, "devices"), arrow, color=color, markersize=9)
+                mark_bounds(axis, groups, color)
         check = plots.select(rows, label=CHECK)
         if check and label == OURS:
             groups = [(check[0][over], check)]
             plots.errorbar(axis, groups, "devices", color="black", markerfacecolor="white", label="not scaled")
+            mark_bounds(axis, groups, "black")
         axis.set(xlabel=name, yscale="log")
         axis.set_title(label, fontsize=10)
         axis.grid(axis="y", which="both", alpha=0.2)
@@ -80,6 +78,14 @@ def draw_devices(records: list[dict], path: str | Path, over: str, name: str) ->
     axes[0].set_ylabel(f"devices per 20 MHz at a score of {ACCEPTABLE}")
     plots.legend(axes[0], fontsize=8)
     plots.save(figure, path)
+
+
+def mark_bounds(axis, groups: list[tuple[float, list[dict]]], color: str) -> None:
+    """A triangle that points to where a number lies of which a search has only found a bound."""
+    for x, seeds in groups:
+        if seeds[0]["bound"] != "exact":
+            arrow = "^" if seeds[0]["bound"] == "at least" else "v"
+            axis.plot(x, plots.mean(seeds, "devices"), arrow, color=color, markersize=9)
 
 
 @dataclass(frozen=True)
