@@ -193,8 +193,7 @@ def summary(name: str, period: int, loops: Sequence[Run], optimal: list[torch.Te
 
 def score_by_slot(loops: Sequence[Run]) -> list[float]:
     """Share of starts that are in the box after each slot."""
-    states = torch.cat([loop.state[1:] for loop in loops], dim=1)
-    return ((states[..., 0].abs() <= 0.05) & (states[..., 1].abs() <= 0.05)).float().mean(1).tolist()
+    return torch.cat([loop.in_box() for loop in loops], dim=1).float().mean(1).tolist()
 
 
 def table(result: dict) -> str:
