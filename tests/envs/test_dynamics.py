@@ -8,7 +8,7 @@ import torchrl  # noqa: F401  (before dm_control)
 from dm_control.suite import cartpole
 
 from tsjepa.envs.dynamics import Dynamics, check_force, substeps
-from tsjepa.envs.score import has_failed, in_box
+from tsjepa.score import has_failed, in_box
 
 
 def stock_trajectory(start: np.ndarray, forces: np.ndarray, steps: int, timestep: float) -> np.ndarray:

@@ -4,6 +4,7 @@ from scipy import stats
 
 from tsjepa.evaluation.evaluate import score_by_slot, summary
 from tsjepa.evaluation.metrics import Run, interval, normalized_score
+from tsjepa.score import has_failed, in_box
 
 
 def make_run() -> Run:
@@ -21,6 +22,14 @@ def make_run() -> Run:
 def test_raw_score_is_the_share_of_slots_that_end_in_the_box():
     # the start itself does not count, the edge of the box does
     assert make_run().raw_score().tolist() == [0.5, 0.0]
+
+
+def test_numpy_states_and_tensors_are_scored_alike():
+    state = make_run().state
+    assert in_box(state.numpy()).tolist() == in_box(state).tolist()
+    assert has_failed(state.numpy()).tolist() == has_failed(state).tolist()
+    assert in_box(state).any()
+    assert has_failed(state).any()
 
 
 def test_a_start_fails_at_the_first_slot_outside_the_limits():
@@ -65,7 +74,7 @@ def test_a_row_counts_the_bits_of_the_updates_that_were_sent(period, updates):
     assert row["update_every"] == (period or "once")
     assert row["normalized_score"] == pytest.approx(0.5)
     assert row["interval_95"] == pytest.approx(0.0)
-    assert (row["failures"], row["starts"]) == (2, 4)
+    assert (row["failures"], row["failures_per_seed"], row["starts"]) == (2, [1, 1], 4)
 
 
 def test_score_by_slot_is_the_share_of_starts_in_the_box():

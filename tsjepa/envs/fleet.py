@@ -10,9 +10,9 @@ from torchrl.envs import EnvBase
 
 from tsjepa.envs.camera import DEFAULT_COLORS, Renderer
 from tsjepa.envs.dynamics import FORCE_LIMIT, Dynamics, check_force
-from tsjepa.envs.score import has_failed, in_box
 from tsjepa.envs.starts import StartDistribution, draw_colors, noise_std_pair
 from tsjepa.envs.streams import NOISE, normals
+from tsjepa.score import has_failed, in_box
 
 DONE_KEYS = ("done", "terminated", "truncated")
 

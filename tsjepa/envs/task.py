@@ -9,9 +9,9 @@ from dm_env import specs
 
 from tsjepa.envs.dynamics import FORCE_LIMIT, check_force
 from tsjepa.envs.physics import CartPolePhysics
-from tsjepa.envs.score import has_failed, in_box
 from tsjepa.envs.starts import StartDistribution, draw_colors, noise_std_pair
 from tsjepa.envs.streams import NOISE, normals
+from tsjepa.score import has_failed, in_box
 
 # Not "state": TorchRL 0.14 renames that key to "observation" in what it reads, but not in its specs.
 STATE_KEY = "plant_state"

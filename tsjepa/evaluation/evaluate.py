@@ -173,6 +173,7 @@ def summary(name: str, period: int, loops: Sequence[Run], optimal: list[torch.Te
     """One row of the table: means over all starts, intervals over seeds."""
     scores = [normalized_score(loop.raw_score(), best) for loop, best in zip(loops, optimal, strict=True)]
     mean, half = interval(scores)
+    failures = [int(loop.failed().sum()) for loop in loops]
     updates = 1 if period == ONCE else -(-slots // period)
     return {
         "controller": name,
@@ -182,7 +183,8 @@ def summary(name: str, period: int, loops: Sequence[Run], optimal: list[torch.Te
         "best_seed": max(scores),
         "per_seed": scores,
         "raw_score": float(torch.cat([loop.raw_score() for loop in loops]).mean()),
-        "failures": int(torch.cat([loop.failed() for loop in loops]).sum()),
+        "failures": sum(failures),
+        "failures_per_seed": failures,
         "starts": sum(len(best) for best in optimal),
         "quadratic_cost": float(torch.cat([loop.quadratic_cost() for loop in loops]).mean()),
         "command_nmae": float(torch.cat([loop.command_nmae() for loop in loops]).mean()),
@@ -193,8 +195,7 @@ def summary(name: str, period: int, loops: Sequence[Run], optimal: list[torch.Te
 
 def score_by_slot(loops: Sequence[Run]) -> list[float]:
     """Share of starts that are in the box after each slot."""
-    states = torch.cat([loop.state[1:] for loop in loops], dim=1)
-    return ((states[..., 0].abs() <= 0.05) & (states[..., 1].abs() <= 0.05)).float().mean(1).tolist()
+    return torch.cat([loop.in_box() for loop in loops], dim=1).float().mean(1).tolist()
 
 
 def table(result: dict) -> str:

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from tsjepa.evaluation.fleet import FleetRun
-from tsjepa.evaluation.metrics import FAILURE_ANGLE, FAILURE_POSITION
 from tsjepa.evaluation.pictures import write_video
+from tsjepa.score import FAILURE_POSITION, has_failed, in_box
 
 TILE_HEIGHT, TILE_WIDTH = 66, 96
 BORDER = 4
@@ -66,8 +66,7 @@ def grid(name: str, run: FleetRun, slot: int, columns: int) -> np.ndarray:
 
 def has_fallen(run: FleetRun, slot: int) -> np.ndarray:
     """[I] bool: which devices have failed in this slot or before."""
-    past = run.loop.state[: slot + 1].abs()
-    return ((past[..., 1] > FAILURE_ANGLE) | (past[..., 0] > FAILURE_POSITION)).any(0).numpy()
+    return has_failed(run.loop.state[: slot + 1]).any(0).numpy()
 
 
 def tile(run: FleetRun, slot: int, device: int, fallen: bool) -> np.ndarray:
@@ -79,7 +78,7 @@ def tile(run: FleetRun, slot: int, device: int, fallen: bool) -> np.ndarray:
     staleness = min(1.0, (age - 1) / (STALE_AGE - 1))
     shade = FALLEN if fallen else tuple(round(255 + staleness * (value - 255)) for value in STALE)
     picture = np.full((TILE_HEIGHT, TILE_WIDTH, 3), shade, np.uint8)
-    inside = abs(x) <= 0.05 and abs(theta) <= 0.05
+    inside = bool(in_box(run.loop.state[slot, device]))
     centre = round(TILE_WIDTH / 2 + max(-2.0, min(2.0, x)) * PIXELS_PER_METRE)
     top = (round(centre + POLE_PIXELS * math.sin(theta)), round(RAIL_Y - POLE_PIXELS * math.cos(theta)))
     cv2.line(picture, (BORDER, RAIL_Y), (TILE_WIDTH - BORDER, RAIL_Y), (170, 170, 170), 1)

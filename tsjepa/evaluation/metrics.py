@@ -8,10 +8,10 @@ import torch
 from scipy import stats
 from torch import Tensor
 
+from tsjepa.score import has_failed, in_box
+
 COMMAND_RANGE = 40.0  # newtons, max(u) - min(u) of the actuator (paper-notes, decision 24)
 EFFORT_WEIGHT = 1e-3  # R of the quadratic cost (decision 17)
-FAILURE_ANGLE, FAILURE_POSITION = 0.8, 1.8  # rad, m
-BOX_ANGLE, BOX_POSITION = 0.05, 0.05  # rad, m
 
 
 @dataclass
@@ -28,14 +28,17 @@ class Run:
     action: Tensor
     expert_action: Tensor
 
+    def in_box(self) -> Tensor:
+        """[T, N] bool: which starts are in the box after each slot."""
+        return in_box(self.state[1:])
+
     def raw_score(self) -> Tensor:
         """[N]: share of slots that end in the box (paper eq. eq5_scoring)."""
-        x, theta = self.state[1:, :, 0].abs(), self.state[1:, :, 1].abs()
-        return ((x <= BOX_POSITION) & (theta <= BOX_ANGLE)).float().mean(0)
+        return self.in_box().float().mean(0)
 
     def failed(self) -> Tensor:
         """[N] bool: the pole fell or the cart left the rail at any slot."""
-        return ((self.state[..., 1].abs() > FAILURE_ANGLE) | (self.state[..., 0].abs() > FAILURE_POSITION)).any(0)
+        return has_failed(self.state).any(0)
 
     def quadratic_cost(self) -> Tensor:
         """[N]: (1/2) sum |s|^2 + R u^2 (paper eq. eq5_Optimization_prob, R = 1e-3)."""

@@ -10,14 +10,20 @@ from datetime import datetime, timezone
 from importlib.metadata import version
 from pathlib import Path
 
+# what decides the figures; results lie elsewhere and change while they are made
+CODE = ("tsjepa", "recipes", "pyproject.toml")
+
 
 def provenance() -> dict[str, str]:
-    """The command line, the commit (the version where there is no checkout) and the date of this run."""
+    """The command line, the commit (the version where there is no checkout) and the date of this run.
+
+    The commit ends in "-dirty" where the code that runs is not the code that was committed.
+    """
     started_as_module = sys.modules["__main__"].__spec__
     program = f"python -m {started_as_module.name}" if started_as_module else Path(sys.argv[0]).name
     return {
         "command": " ".join([program, *sys.argv[1:]]),
-        "commit": _commit() or f"version {version('tsjepa')}",
+        "commit": commit_of(Path(__file__).parent) or f"version {version('tsjepa')}",
         "date": datetime.now(timezone.utc).date().isoformat(),
     }
 
@@ -32,15 +38,21 @@ def machine() -> dict[str, str | int]:
     return {"processor": name, "cores": os.cpu_count() or 1}
 
 
-def _commit() -> str | None:
+def commit_of(folder: Path) -> str | None:
+    """Ten characters of the commit of the checkout that holds ``folder``, with "-dirty" where its code has changed.
+
+    None where there is no checkout.
+    """
+    commit = _git(folder, "describe", "--always", "--abbrev=10", "--exclude=*")
+    changes = _git(folder, "status", "--porcelain", "--", *(f":/{part}" for part in CODE))
+    return f"{commit}-dirty" if commit and changes else commit
+
+
+def _git(folder: Path, *arguments: str) -> str | None:
     try:
-        answer = subprocess.run(
-            ["git", "describe", "--always", "--abbrev=10", "--exclude=*"],
-            cwd=Path(__file__).parent,
-            capture_output=True,
-            text=True,
-            check=True,
-        )
+        # without the lock, which a commit that somebody makes meanwhile needs
+        command = ["git", "--no-optional-locks", *arguments]
+        answer = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=True)
     except (OSError, subprocess.CalledProcessError):
         return None
     return answer.stdout.strip()

@@ -9,7 +9,6 @@ import lightning
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
-from tqdm import trange
 
 from tsjepa.models import Encoder
 from tsjepa.models.autoencoder import AutoencoderArchitecture, AutoencoderController
@@ -17,6 +16,7 @@ from tsjepa.models.decoder import Decoder
 from tsjepa.models.encoder import patchify
 from tsjepa.training.decoder import look_around, reconstruction_loss
 from tsjepa.training.embeddings import embed_split
+from tsjepa.training.minimize import FORWARD_DTYPE, minimize
 from tsjepa.training.schedule import warmup_cosine_schedule
 
 
@@ -138,7 +138,6 @@ def fit_estimator(
     learning_rate: float = 3e-3,
     weight_decay: float = 1e-2,
     seed: int = 0,
-    precision: torch.dtype = torch.bfloat16,
 ) -> None:
     """Trains the state estimator in place, each component of the state over its standard deviation.
 
@@ -150,29 +149,23 @@ def fit_estimator(
         state: [N, 4].
         steps, batch_size, learning_rate, weight_decay: of AdamW with warm-up and cosine decay.
         seed: seed of the batches.
-        precision: autocast dtype of the forward passes.
     """
     estimator, device = model.estimator, embedding.device
     estimator.state_mean.copy_(state.mean(0))
     estimator.state_std.copy_(state.std(0))
     generator = torch.Generator().manual_seed(seed)
-    optimizer = torch.optim.AdamW(estimator.parameters(), learning_rate, weight_decay=weight_decay)
-    schedule = warmup_cosine_schedule(optimizer, steps)
-    model.eval()
-    estimator.train()
-    progress = trange(steps, desc="fit estimator", unit="step")
-    for _ in progress:
+
+    def loss() -> Tensor:
         rows = torch.randint(len(embedding), (batch_size,), generator=generator).to(device)
-        with torch.autocast(device.type, precision):
+        with torch.autocast(device.type, FORWARD_DTYPE):
             with torch.no_grad():
                 drawn = model.decoder.draw(embedding[rows])
             estimated = estimator(drawn)
-        loss = ((estimated - state[rows]) / estimator.state_std).square().mean()
-        optimizer.zero_grad()
-        loss.backward()
-        optimizer.step()
-        schedule.step()
-        progress.set_postfix(loss=f"{loss.item():.5f}", refresh=False)
+        return ((estimated - state[rows]) / estimator.state_std).square().mean()
+
+    model.eval()
+    estimator.train()
+    minimize(loss, estimator.parameters(), steps, learning_rate, weight_decay, "fit estimator")
     estimator.eval()
 
 

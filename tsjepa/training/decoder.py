@@ -8,12 +8,11 @@ import lightning
 import torch
 from torch import Tensor
 from torch.nn import functional as F
-from tqdm import trange
 
 from tsjepa.models.decoder import Decoder
 from tsjepa.models.encoder import patchify
 from tsjepa.training.embeddings import embed_split
-from tsjepa.training.schedule import warmup_cosine_schedule
+from tsjepa.training.minimize import FORWARD_DTYPE, minimize
 
 SMOOTHING = 17  # pixels, about the cart's width
 
@@ -85,7 +84,6 @@ def fit_decoder(
     batch_size: int = 128,
     learning_rate: float = 3e-3,
     seed: int = 0,
-    precision: torch.dtype = torch.bfloat16,
 ) -> None:
     """Trains the decoder in place on :func:`reconstruction_loss` and leaves it in evaluation mode.
 
@@ -95,26 +93,20 @@ def fit_decoder(
         frames: uint8 [N, H, W, 3], the newest frame of each embedding; may lie on another device.
         steps, batch_size, learning_rate: of AdamW with warm-up and cosine decay.
         seed: seed of the batches.
-        precision: autocast dtype of the forward pass.
     """
     device = embedding.device
     look_around(decoder, frames)
     generator = torch.Generator().manual_seed(seed)
-    optimizer = torch.optim.AdamW(decoder.parameters(), learning_rate, weight_decay=1e-4)
-    schedule = warmup_cosine_schedule(optimizer, steps)
-    decoder.train()
-    progress = trange(steps, desc="fit decoder", unit="step")
-    for _ in progress:
+
+    def loss() -> Tensor:
         rows = torch.randint(len(embedding), (batch_size,), generator=generator)
         patches = patchify(frames[rows].to(device)[:, None])
-        with torch.autocast(device.type, precision):
+        with torch.autocast(device.type, FORWARD_DTYPE):
             drawn = decoder.draw(embedding[rows.to(device)])
-        loss = reconstruction_loss(decoder, drawn, patches)
-        optimizer.zero_grad()
-        loss.backward()
-        optimizer.step()
-        schedule.step()
-        progress.set_postfix(loss=f"{loss.item():.5f}", refresh=False)
+        return reconstruction_loss(decoder, drawn, patches)
+
+    decoder.train()
+    minimize(loss, decoder.parameters(), steps, learning_rate, 1e-4, "fit decoder")
     decoder.eval()
 
 

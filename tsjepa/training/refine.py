@@ -6,14 +6,13 @@ import lightning
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor, nn
-from tqdm import trange
 
 from tsjepa.data.module import Trajectories
 from tsjepa.data.storage import open_split
 from tsjepa.models.predictor import rollout
 from tsjepa.training.embeddings import embed_split
 from tsjepa.training.losses import cosine_loss
-from tsjepa.training.schedule import warmup_cosine_schedule
+from tsjepa.training.minimize import FORWARD_DTYPE, minimize
 
 
 def refine_predictor(
@@ -26,7 +25,6 @@ def refine_predictor(
     seed: int,
     start_share: float = 0.0,
     starts: TensorDictBase | None = None,
-    precision: torch.dtype = torch.bfloat16,
 ) -> None:
     """Trains the predictor in place with the same cosine loss over auto-regressive roll-outs.
 
@@ -43,7 +41,6 @@ def refine_predictor(
             uniform roll-outs make the predictor take the expert's for granted.
         starts: many short trajectories [episodes, slots], from anywhere in which that share is taken instead: a
             predictor of 256 numbers learns the few starts of ``embedded`` by heart.
-        precision: autocast dtype of the roll-out.
     """
     for part in (embedded, starts):
         if part is not None and horizon >= part.shape[1]:
@@ -51,24 +48,19 @@ def refine_predictor(
                 f"A horizon of {horizon} slots does not fit into trajectories of {part.shape[1]}; take a shorter one."
             )
     generator = torch.Generator().manual_seed(seed)
-    optimizer = torch.optim.AdamW(predictor.parameters(), learning_rate, weight_decay=1e-4)
-    schedule = warmup_cosine_schedule(optimizer, steps)
-    progress = trange(steps, desc="refine predictor", unit="step")
-    for _ in progress:
+
+    def loss() -> Tensor:
         if starts is None:
             embedding, action = draw(embedded, batch_size, horizon, generator, start_share)
         else:
             short = round(start_share * batch_size)
             parts = (draw(embedded, batch_size - short, horizon, generator), draw(starts, short, horizon, generator))
             embedding, action = (torch.cat(pair) for pair in zip(*parts, strict=True))
-        with torch.autocast(embedding.device.type, precision):
+        with torch.autocast(embedding.device.type, FORWARD_DTYPE):
             predicted = rollout(predictor, embedding[:, 0], action)
-        loss = cosine_loss(predicted, embedding[:, 1:])
-        optimizer.zero_grad()
-        loss.backward()
-        optimizer.step()
-        schedule.step()
-        progress.set_postfix(loss=f"{loss.item():.5f}", refresh=False)
+        return cosine_loss(predicted, embedding[:, 1:])
+
+    minimize(loss, predictor.parameters(), steps, learning_rate, 1e-4, "refine predictor")
 
 
 def draw(

@@ -11,6 +11,7 @@ from PIL import Image
 from tsjepa import cli
 from tsjepa.evaluation.figures import FIGURES, claims, command, module_of, store
 from tsjepa.evaluation.figures.film import film
+from tsjepa.evaluation.figures.report import explained
 
 ROOT = Path(__file__).parents[3]
 RESULTS = ROOT / command.RESULTS
@@ -155,6 +156,12 @@ def test_a_verdict_from_part_of_a_sweep_says_so(recorded, tmp_path):
     assert cli.main(["report", "--output", str(tmp_path), "--results", str(tmp_path / "part")]) == 0
     text = (tmp_path / "report.md").read_text()
     assert f"from {len(records) - 1} of {len(records)} points of the sweep" in text
+
+
+def test_figures_and_reason_are_joined_where_there_are_both():
+    both = [("1", "because"), ("1", ""), ("", "because"), ("", "")]
+    said = [explained(claims.Verdict(claims.PARTLY, *parts)) for parts in both]
+    assert said == ["1; because", "1", "because", ""]
 
 
 def test_without_results_every_claim_is_said_to_be_unmeasured(tmp_path, capsys):

@@ -18,7 +18,7 @@ from tsjepa.evaluation.fleet import FleetRun, run_fleet
 from tsjepa.evaluation.fleet_codecs import fitted_codec
 from tsjepa.evaluation.fleet_film import has_fallen
 from tsjepa.evaluation.fleet_settings import Plants, Radio
-from tsjepa.evaluation.metrics import FAILURE_POSITION
+from tsjepa.score import FAILURE_POSITION, in_box
 
 WIDTH, MARGIN, GAP = 800, 12, 24
 HEAD, FOOT = 92, 46
@@ -185,9 +185,8 @@ def footer(canvas: np.ndarray, slot: int, height: int, bandwidth_mhz: float) -> 
 
 
 def inside(run: FleetRun, slot: int) -> np.ndarray:
-    """[I] bool: which devices are in the box, within 0.05 m and 0.05 rad of the target."""
-    state = run.loop.state[slot].abs()
-    return ((state[:, 0] <= 0.05) & (state[:, 1] <= 0.05)).numpy()
+    """[I] bool: which devices are in the box when the slot begins."""
+    return in_box(run.loop.state[slot]).numpy()
 
 
 def at(x: float, y: float) -> tuple[int, int]:

@@ -12,7 +12,7 @@ from torch import Tensor
 from tsjepa.evaluation.closed_loop import Starts, is_update, run, true_state_policy
 from tsjepa.evaluation.figures.senders import make_sender
 from tsjepa.evaluation.fleet_codecs import fitted_codec
-from tsjepa.evaluation.metrics import COMMAND_RANGE, Run, normalized_score
+from tsjepa.evaluation.metrics import COMMAND_RANGE, normalized_score
 from tsjepa.network.codecs import payload_bits
 
 CURVE_STEP = 5  # slots between the recorded values of a curve
@@ -45,7 +45,7 @@ def loop_rows(point: dict) -> list[dict]:
                 "failed": float(loop.failed().float().mean()),
                 "cost": float(loop.quadratic_cost().mean()),
                 "bits_per_slot": policy.bits / (point["starts"] * point["slots"]),
-                "in_box": thinned(in_box(loop)),
+                "in_box": thinned(loop.in_box().float().mean(1)),
             }
         )
     return rows
@@ -131,12 +131,6 @@ def expert_embeddings(point: dict, seed: int) -> Tensor:
 
     run(starts, driver)
     return torch.cat(seen)
-
-
-def in_box(loop: Run) -> Tensor:
-    """Share of the starts that are in the box after each slot [T]."""
-    state = loop.state[1:]
-    return ((state[..., 0].abs() <= 0.05) & (state[..., 1].abs() <= 0.05)).float().mean(1)
 
 
 def thinned(curve: Tensor) -> list[float]:

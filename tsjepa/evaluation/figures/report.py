@@ -103,8 +103,7 @@ def markdown(modules: dict, records: dict, verdicts: dict[str, Verdict], picture
             continue
         lines += [f"![{module.TITLE}]({pictures}/{name}.png)", "", module.CAPTION, ""]
         lines += [
-            f"- *{claim.text}* **{verdicts[key].verdict}**: {verdicts[key].ours}"
-            + (f"; {verdicts[key].reason}" if verdicts[key].reason else "")
+            f"- *{claim.text}* **{verdicts[key].verdict}**: {explained(verdicts[key])}"
             for key, claim in CLAIMS.items()
             if claim.figure == name
         ]
@@ -140,14 +139,18 @@ def page(modules: dict, records: dict, verdicts: dict[str, Verdict], pictures: P
         for key, claim in CLAIMS.items():
             if claim.figure == name:
                 verdict = verdicts[key]
-                reason = f"; {verdict.reason}" if verdict.reason else ""
-                body.append(f"<li><i>{code(claim.text)}</i> <b>{verdict.verdict}</b>: {code(verdict.ours + reason)}")
+                body.append(f"<li><i>{code(claim.text)}</i> <b>{verdict.verdict}</b>: {code(explained(verdict))}")
         body.append("</ul><p>Made by:</p><ul>" + "".join(f"<li>{code(line)}" for line in origins(records[name])))
         body.append("</ul>")
     title = "The paper's figures, ours beside them"
     meta = '<meta charset="utf-8"><meta name="viewport" content="width=device-width">'
     head = f"{meta}<title>{title}</title><style>{STYLE}</style>"
     return f'<!doctype html>\n<html lang="en"><head>{head}</head>\n<body>\n' + "\n".join(body) + "\n</body></html>\n"
+
+
+def explained(verdict: Verdict) -> str:
+    """Our figures and the reason, of which either may be missing."""
+    return "; ".join(part for part in (verdict.ours, verdict.reason) if part)
 
 
 def code(text: str) -> str:

@@ -1,0 +1,43 @@
+"""The loop in which small parts learn from what a frozen encoder has made, when a fit ends."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+
+import torch
+from torch import Tensor, nn
+from tqdm import trange
+
+from tsjepa.training.schedule import warmup_cosine_schedule
+
+FORWARD_DTYPE = torch.bfloat16  # of autocast; losses are taken outside it
+
+
+def minimize(
+    loss: Callable[[], Tensor],
+    parameters: Iterable[nn.Parameter],
+    steps: int,
+    learning_rate: float,
+    weight_decay: float,
+    what: str,
+) -> None:
+    """Takes AdamW's steps, with warm-up and cosine decay.
+
+    Args:
+        loss: draws a batch and gives its loss, a scalar; called once a step.
+        parameters: that change.
+        steps: optimizer steps.
+        learning_rate: the schedule's peak.
+        weight_decay: of AdamW.
+        what: said beside the progress bar.
+    """
+    optimizer = torch.optim.AdamW(parameters, learning_rate, weight_decay=weight_decay)
+    schedule = warmup_cosine_schedule(optimizer, steps)
+    progress = trange(steps, desc=what, unit="step")
+    for _ in progress:
+        value = loss()
+        optimizer.zero_grad()
+        value.backward()
+        optimizer.step()
+        schedule.step()
+        progress.set_postfix(loss=f"{value.item():.5f}", refresh=False)
