@@ -162,9 +162,7 @@ def test_verify_measures_the_scores_of_the_card_again(entry, capsys):
     )
 
 
-@pytest.mark.parametrize(
-    "change", [{"per_seed": [9.0, 9.0]}, {"failures_per_seed": [0, -1]}, {"per_seed": [float("nan")] * 2}]
-)
+@pytest.mark.parametrize("change", [{"per_seed": [9.0, 9.0]}, {"per_seed": [float("nan")] * 2}])
 def test_verify_fails_with_one_sentence_where_a_score_has_left_its_interval(entry, capsys, change):
     model = tsjepa.load(entry)
     for row in model.metrics["closed_loop"]:
@@ -184,10 +182,8 @@ def test_a_score_inside_its_interval_with_too_many_falls_is_refused():
     assert not Check(5, 0.9, 0.9, 0.1, allowed + 1, allowed).passed
 
 
-def test_as_many_may_fall_as_fell_from_the_same_starts():
+def test_none_may_fall_where_none_fell_and_all_where_all_did():
     row = {"per_seed": [0.9] * 5, "starts": 100}
-    assert failures_allowed(row | {"failures": 22, "failures_per_seed": [1, 3, 8, 6, 4]}, 2) == 4
-    # without the figures of each seed too, where none or all fell
     assert failures_allowed(row | {"failures": 0}, 2) == 0
     assert failures_allowed(row | {"failures": 100}, 2) == 40
 

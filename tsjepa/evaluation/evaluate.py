@@ -173,7 +173,6 @@ def summary(name: str, period: int, loops: Sequence[Run], optimal: list[torch.Te
     """One row of the table: means over all starts, intervals over seeds."""
     scores = [normalized_score(loop.raw_score(), best) for loop, best in zip(loops, optimal, strict=True)]
     mean, half = interval(scores)
-    failures = [int(loop.failed().sum()) for loop in loops]
     updates = 1 if period == ONCE else -(-slots // period)
     return {
         "controller": name,
@@ -183,8 +182,7 @@ def summary(name: str, period: int, loops: Sequence[Run], optimal: list[torch.Te
         "best_seed": max(scores),
         "per_seed": scores,
         "raw_score": float(torch.cat([loop.raw_score() for loop in loops]).mean()),
-        "failures": sum(failures),
-        "failures_per_seed": failures,
+        "failures": int(torch.cat([loop.failed() for loop in loops]).sum()),
         "starts": sum(len(best) for best in optimal),
         "quadratic_cost": float(torch.cat([loop.quadratic_cost() for loop in loops]).mean()),
         "command_nmae": float(torch.cat([loop.command_nmae() for loop in loops]).mean()),

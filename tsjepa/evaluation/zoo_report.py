@@ -116,15 +116,13 @@ class Check:
 
 
 def failures_allowed(row: dict, seeds: int) -> int:
-    """How many of the starts of a row's first ``seeds`` seeds may fail: as many as failed.
+    """How many of the starts of a row's first ``seeds`` seeds may fail.
 
-    Where the row only says how many failed in all, that is what 95 % of the ways to spread these over the starts stay
-    within.
+    What 95 % of the ways to spread the failures of all its starts over them stay within, so that a start that another
+    processor's arithmetic tips over is forgiven.
     """
     from scipy.stats import hypergeom
 
-    if "failures_per_seed" in row:
-        return sum(row["failures_per_seed"][:seeds])
     run_again = row["starts"] * seeds // len(row["per_seed"])
     return int(hypergeom.ppf(0.95, row["starts"], row["failures"], run_again))
 
