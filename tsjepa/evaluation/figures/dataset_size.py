@@ -5,11 +5,12 @@ from __future__ import annotations
 from itertools import pairwise
 from pathlib import Path
 
+from tsjepa.evaluation.closed_loop import ONCE
 from tsjepa.evaluation.figures import plots
 from tsjepa.evaluation.figures.claims import Verdict, judge
-from tsjepa.evaluation.figures.loops import CURVE_STEP
+from tsjepa.evaluation.figures.panels import draw_over
 from tsjepa.evaluation.figures.store import flat
-from tsjepa.evaluation.figures.training import ONCE, trained_rows
+from tsjepa.evaluation.figures.training import trained_rows
 
 TITLE = "Training data-set size"
 CAPTION = (
@@ -44,26 +45,7 @@ def evaluate(point: dict) -> list[dict]:
 
 def draw(records: list[dict], path: str | Path) -> None:
     """Command error, bits, score and the horizon of one update."""
-    rows = flat(records)
-    sizes = sorted(plots.distinct(rows, "train_episodes"))
-    figure, axes = plots.canvas(columns=4, width=4)
-    fresh = [(size, plots.select(rows, train_episodes=size, update_every=1)) for size in sizes]
-    for axis, measure, name in ((axes[0], "nmae", "command NMAE"), (axes[1], "bits_per_slot", "bits per slot (fp32)")):
-        plots.errorbar(axis, fresh, measure, color=plots.PALETTE[0])
-        axis.set(ylabel=name)
-    for color, period in zip(plots.PALETTE, LOOPS[:-1], strict=False):
-        groups = [(size, plots.select(rows, train_episodes=size, update_every=period)) for size in sizes]
-        plots.errorbar(axes[2], groups, "score", color=color, label=f"every {period}")
-    axes[2].set(ylabel="normalised score")
-    plots.legend(axes[2], fontsize=8, title="slots")
-    for axis in axes[:3]:
-        axis.set(xlabel="training trajectories")
-    for color, size in zip(plots.PALETTE, sizes, strict=False):
-        curve = plots.curve(plots.select(rows, train_episodes=size, update_every=ONCE), "in_box")
-        axes[3].plot([CURVE_STEP * (i + 0.5) for i in range(len(curve))], curve, color=color, label=f"{size}")
-    axes[3].set(xlabel="slots since the only update", ylabel="share of starts in the box")
-    plots.legend(axes[3], fontsize=8, title="trajectories")
-    plots.save(figure, path)
+    draw_over(records, path, "train_episodes", "training trajectories")
 
 
 def verdicts(records: list[dict]) -> dict[str, Verdict]:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from tsjepa.evaluation.figures import one_device, plots
 from tsjepa.evaluation.figures.claims import Verdict, judge
-from tsjepa.evaluation.figures.loops import CURVE_STEP
+from tsjepa.evaluation.figures.panels import draw_over
 from tsjepa.evaluation.figures.store import flat
 
 TITLE = "Embedding dimension"
@@ -19,7 +19,6 @@ CAPTION = (
     "entries' trainings differ a little besides (see their cards), so that small differences say nothing of the width."
 )
 MEASURES = ("score", "nmae")
-ONCE = one_device.ONCE
 evaluate = one_device.evaluate
 
 
@@ -41,34 +40,7 @@ def points(models: dict, update_every: list[int], sizes: dict) -> list[dict]:
 
 def draw(records: list[dict], path: str | Path) -> None:
     """Command error, bits, score and the horizon of one update."""
-    rows = flat(records)
-    dimensions = sorted(plots.distinct(rows, "dimension"))
-    figure, axes = plots.canvas(columns=4, width=4)
-    fresh = [(dimension, plots.select(rows, dimension=dimension, update_every=1)) for dimension in dimensions]
-    fresh = [(dimension, seeds) for dimension, seeds in fresh if seeds]
-    for axis, measure, name in ((axes[0], "nmae", "command NMAE"), (axes[1], "bits_per_slot", "bits per slot (fp32)")):
-        plots.errorbar(axis, fresh, measure, color=plots.PALETTE[0])
-        axis.set(ylabel=name)
-    periods = sorted(set(plots.distinct(rows, "update_every")) - {ONCE})
-    for color, period in zip(plots.PALETTE, periods, strict=False):
-        groups = [(dimension, plots.select(rows, dimension=dimension, update_every=period)) for dimension in dimensions]
-        groups = [(dimension, seeds) for dimension, seeds in groups if seeds]
-        plots.errorbar(axes[2], groups, "score", color=color, label=f"every {period}")
-    axes[2].set(ylabel="normalised score")
-    plots.legend(axes[2], fontsize=8, title="slots")
-    for axis in axes[:3]:
-        axis.set(xlabel="embedding dimension", xscale="log")
-        axis.set_xticks(dimensions, [str(dimension) for dimension in dimensions])
-        axis.minorticks_off()
-    for color, dimension in zip(plots.PALETTE, dimensions, strict=False):
-        once = plots.select(rows, dimension=dimension, update_every=ONCE)
-        if once:
-            curve = plots.curve(once, "in_box")
-            slots = [CURVE_STEP * (index + 0.5) for index in range(len(curve))]
-            axes[3].plot(slots, curve, color=color, label=f"d = {dimension}")
-    axes[3].set(xlabel="slots since the only update", ylabel="share of starts in the box")
-    plots.legend(axes[3], fontsize=8)
-    plots.save(figure, path)
+    draw_over(records, path, "dimension", "embedding dimension")
 
 
 def verdicts(records: list[dict]) -> dict[str, Verdict]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from tsjepa.evaluation.closed_loop import ONCE
 from tsjepa.evaluation.figures import plots
 from tsjepa.evaluation.figures.claims import Verdict, judge
 from tsjepa.evaluation.figures.loops import CURVE_STEP, command_rows, loop_rows
@@ -19,7 +20,7 @@ CAPTION = (
     "% intervals over seeds."
 )
 MEASURES = ("score", "nmae")
-ONCE, OPTIMAL, OURS, TWO, FOUR, AUTOENCODER = 0, "optimal", "TS-JEPA", "supervised 2", "supervised 4", "autoencoder"
+OPTIMAL, OURS, TWO, FOUR, AUTOENCODER = "optimal", "TS-JEPA", "supervised 2", "supervised 4", "autoencoder"
 FEWER_FALLS = 0.05  # share of the starts by which a controller has to be ahead
 STYLES = {"predict": "-", "hold": "--", "zero": ":"}
 

@@ -15,7 +15,6 @@ from tsjepa.training.imitation_data import ImitationPairs
 from tsjepa.training.monitor import effective_rank
 
 KEPT = ("CentreEmbedding", "RefinePredictor", "FitProbe", "FitCodec", "ExportModel")  # callbacks that make the model
-ONCE = 0
 FIELDS = ("seeds", "starts", "slots", "process_noise_std")
 
 
