@@ -183,12 +183,15 @@ def _beside_learned(error: dict, score: dict, bits: dict, learned: dict, ours: l
             "less than ten times fewer",
         )
     if AUTOENCODER in learned and TWO in learned:
-        above = score[AUTOENCODER] > score[TWO]
+        lead, half = plots.lead(learned[AUTOENCODER], learned[TWO], "score")
+        above = lead > half
         worse = error[AUTOENCODER] > error[OURS]
         found["autoencoder_order"] = judge(
             worse and above,
-            f"command NMAE: {errors}; scores: {scores}",
-            "the autoencoder does not score above the supervised controller" if worse else "its error is not higher",
+            f"command NMAE: {errors}; scores: {scores}; autoencoder over {TWO} {lead:.3f} ± {half:.3f}",
+            "the autoencoder does not clearly score above the supervised controller"
+            if worse
+            else "its error is not higher",
             partly=worse or above,
         )
     if TWO in learned:
