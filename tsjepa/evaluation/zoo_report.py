@@ -118,8 +118,7 @@ class Check:
 def failures_allowed(row: dict, seeds: int) -> int:
     """How many of the starts of a row's first ``seeds`` seeds may fail.
 
-    What 95 % of the ways to spread the failures of all its starts over them stay within, so that a start that another
-    processor's arithmetic tips over is forgiven.
+    What 95 % of the ways to spread the failures of all its starts over them stay within; none where none failed.
     """
     from scipy.stats import hypergeom
 
