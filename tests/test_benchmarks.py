@@ -10,7 +10,7 @@ import pytest
 import tiny
 import tiny_controller
 
-from tsjepa import zoo
+from tsjepa.models import entries
 
 HOME = tiny.ROOT / "tests" / "benchmarks"
 
@@ -57,7 +57,7 @@ def test_loading(tmp_path):
 
 
 def test_latency(tmp_path):
-    model = str(zoo.save(tiny_controller.tiny(), tmp_path / "model"))
+    model = str(entries.save(tiny_controller.tiny(), tmp_path / "model"))
     result = run("latency.py", tmp_path, "--model", model, "--rounds", "3", "--devices", "1", "7")
     assert result["payload_bits"] == 8 * 8
     assert result["frame_bits"] == 8 * 2 * 64 * 128 * 3
@@ -84,7 +84,7 @@ def rows(script, part: str, result: dict) -> list[list[str]]:
 
 
 def test_fleet(tmp_path, script):
-    model = str(zoo.save(tiny_controller.tiny(), tmp_path / "model"))
+    model = str(entries.save(tiny_controller.tiny(), tmp_path / "model"))
     small = ["--devices", "1", "3", "--batch", "4", "--rounds", "2", "--steps", "6", "--threads", "1"]
     result = run("fleet.py", tmp_path, "--model", model, *small)
     # the stem on 16 x 32 patches of 96 channels, three blocks that halve the sides, a projection

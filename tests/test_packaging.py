@@ -96,7 +96,7 @@ def test_wheel_holds_code_model_recipes_and_zoo(wheel):
     tracked = subprocess.run(
         ["git", "ls-files", "tsjepa", "recipes", "checkpoints"], cwd=ROOT, check=True, capture_output=True, text=True
     ).stdout.split()
-    assert "tsjepa/envs/cartpole.xml" in names
+    assert "tsjepa/plants/cartpole.xml" in names
     assert {name if name.startswith("tsjepa/") else f"tsjepa/{name}" for name in tracked} <= names
     assert not any(name.startswith("tests/") for name in names)
 
@@ -106,10 +106,10 @@ def embeddings() -> dict[str, list[float]]:
     import torch
 
     import tsjepa
-    from tsjepa import zoo
+    from tsjepa.models import entries
 
     result = {}
-    for name in zoo.names():
+    for name in entries.names():
         model = tsjepa.load(name)
         shape = (1, model.architecture.frame_stack, 64, 128, 3)
         noise = torch.randint(0, 256, shape, dtype=torch.uint8, generator=torch.Generator().manual_seed(0))

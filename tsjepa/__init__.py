@@ -1,6 +1,6 @@
 """tsjepa: predictive remote control from pixels over a radio that cannot carry video."""
 
-from tsjepa.gl import choose_backend
+from tsjepa.support.gl import choose_backend
 
 choose_backend()
 
@@ -10,7 +10,7 @@ __all__ = ["load"]
 def __getattr__(name: str):
     # torch is imported only when a model is asked for, so that `tsjepa --help` stays quick
     if name == "load":
-        from tsjepa.zoo import load
+        from tsjepa.models.entries import load
 
         return load
     raise AttributeError(f"module 'tsjepa' has no attribute {name!r}")

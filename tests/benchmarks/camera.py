@@ -24,7 +24,7 @@ def fleet(devices: int, frame_stack: int) -> tuple[Callable[[int], int], dict]:
     from torchrl.envs import TransformedEnv
 
     from tsjepa.envs import FleetEnv
-    from tsjepa.network.transforms import Camera
+    from tsjepa.envs.transforms import Camera
 
     torch.set_num_threads(1)
     plants = FleetEnv(devices, frame_history=frame_stack, episode_length=10**9, terminate_on_failure=False)

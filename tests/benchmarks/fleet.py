@@ -20,7 +20,7 @@ from torch import Tensor
 from torch.utils.flop_counter import FlopCounterMode
 
 import tsjepa
-from tsjepa.training.allocator import keep_freed_memory
+from tsjepa.support.allocator import keep_freed_memory
 
 GEMM_SIDE = 1024
 TARGET_BATCHED = 3  # times one by one
@@ -46,7 +46,7 @@ def build(devices: int, model: torch.nn.Module, renderer):
     from torchrl.envs import Compose, TransformedEnv
 
     from tsjepa.envs import FleetEnv
-    from tsjepa.network.transforms import Camera, Encode
+    from tsjepa.envs.transforms import Camera, Encode
 
     sizes = model.architecture
     plants = FleetEnv(
@@ -109,7 +109,7 @@ def measure(name: str, sizes: list[int], batch: int, rounds: int, steps: int, th
         threads: of torch; recorded.
     """
     from tsjepa.envs import Renderer
-    from tsjepa.envs.expert import reference_lqr
+    from tsjepa.plants.expert import reference_lqr
 
     model, renderer = tsjepa.load(name), Renderer()
     law = reference_lqr(model.architecture.sampling_interval)

@@ -20,7 +20,7 @@ from report import publish, spread
 from torch.utils.flop_counter import FlopCounterMode
 
 import tsjepa
-from tsjepa.evaluation.deploy import Graph, deploy, graphs
+from tsjepa.zoo.deploy import Graph, deploy, graphs
 
 TARGET_MS = {"device": 2.0, "predict": 0.3}  # of one row
 GEMM_SIDE = 512

@@ -12,14 +12,14 @@ import sys
 
 from report import publish, spread
 
-from tsjepa import zoo
+from tsjepa.models import entries
 
 LIMIT_S = 2.0
 PROGRAM = """
 import sys, time
-import tsjepa.zoo
+import tsjepa.models.entries
 start = time.perf_counter()
-tsjepa.zoo.load(sys.argv[1])
+tsjepa.models.entries.load(sys.argv[1])
 print(time.perf_counter() - start)
 """
 
@@ -33,7 +33,7 @@ def seconds_to_load(name: str) -> float:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rounds", type=int, default=3)
-    parser.add_argument("--entries", nargs="*", default=zoo.names())
+    parser.add_argument("--entries", nargs="*", default=entries.names())
     parser.add_argument("--output", default="docs/results/loading.json")
     options = parser.parse_args()
     rounds = [{name: seconds_to_load(name) for name in options.entries} for _ in range(options.rounds)]

@@ -20,11 +20,11 @@ from tensordict import TensorDict
 from torchrl.data import Composite, Unbounded
 from torchrl.envs import Compose, EnvBase, TransformedEnv
 
-from tsjepa.evaluation.provenance import provenance
-from tsjepa.files import write_text
-from tsjepa.network import Deployment, los_probability, path_loss_db, simulate_ages
-from tsjepa.network.deployment import large_scale
-from tsjepa.network.transforms import Channel, Scheduler, Uplink
+from tsjepa.envs.transforms import Channel, Scheduler, Uplink
+from tsjepa.radio import Deployment, los_probability, path_loss_db, simulate_ages
+from tsjepa.radio.deployment import large_scale
+from tsjepa.support.files import write_text
+from tsjepa.support.provenance import provenance
 
 
 class NoPlant(EnvBase):

@@ -116,7 +116,7 @@ def ours(recipe: str, threads: int, overrides: list[str]) -> tuple:
     import torch
     from lightning.pytorch.cli import LightningCLI
 
-    from tsjepa.training.allocator import keep_freed_memory
+    from tsjepa.support.allocator import keep_freed_memory
 
     torch.set_num_threads(threads)
     keep_freed_memory()

@@ -5,8 +5,8 @@ import os
 import statistics
 from pathlib import Path
 
-from tsjepa.evaluation.provenance import machine, provenance
-from tsjepa.files import write_text
+from tsjepa.support.files import write_text
+from tsjepa.support.provenance import machine, provenance
 
 
 def spread(values: list[float]) -> dict[str, float]:

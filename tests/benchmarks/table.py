@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from tsjepa.files import write_text
+from tsjepa.support.files import write_text
 
 MEMORY_GROWTH_PERCENT = 2
 

@@ -19,7 +19,7 @@ from report import publish, spread
 from torch import nn
 from torch.utils.flop_counter import FlopCounterMode
 
-from tsjepa.training.allocator import keep_freed_memory
+from tsjepa.support.allocator import keep_freed_memory
 from tsjepa.training.jepa import TSJEPA
 
 GEMM_SIDE = 2048

@@ -7,7 +7,7 @@ import torch
 from tsjepa.data.collect import Coverage, Split, collect
 from tsjepa.data.storage import METADATA, content_hash, open_split, read_metadata
 from tsjepa.envs import Renderer
-from tsjepa.envs.expert import Expert
+from tsjepa.plants.expert import Expert
 
 SPLITS = {"train": Split(3), "test": Split(2, coverage=False)}
 

@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 import torch
 
-from tsjepa.envs.dynamics import Dynamics
-from tsjepa.envs.expert import Expert
 from tsjepa.evaluation.closed_loop import (
     ONCE,
     SemanticPolicy,
@@ -17,6 +15,8 @@ from tsjepa.evaluation.closed_loop import (
     run,
     true_state_policy,
 )
+from tsjepa.plants.dynamics import Dynamics
+from tsjepa.plants.expert import Expert
 
 INTERVAL = 0.02
 STARTS = Starts(seed=0, count=4, slots=30, frame_history=3)

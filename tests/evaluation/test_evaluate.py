@@ -5,11 +5,10 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from tsjepa import zoo
 from tsjepa.evaluation.evaluate import FIRST_SLOT, angle_figures, evaluate, table
 from tsjepa.evaluation.open_loop import probed_prediction_error
 from tsjepa.evaluation.pictures import imagine
-from tsjepa.models import Architecture, AutoencoderArchitecture, AutoencoderController, SemanticController
+from tsjepa.models import Architecture, AutoencoderArchitecture, AutoencoderController, SemanticController, entries
 
 
 @pytest.fixture(scope="module")
@@ -18,7 +17,7 @@ def model(tmp_path_factory):
     sizes = Architecture(widths=(4, 8, 8), embedding_dim=16, predictor_hidden_dim=32, actor_hidden_dims=(32, 16))
     model = SemanticController(sizes)
     model.decoder.fitted.fill_(True)
-    return str(zoo.save(model, tmp_path_factory.mktemp("model") / "tiny"))
+    return str(entries.save(model, tmp_path_factory.mktemp("model") / "tiny"))
 
 
 @pytest.fixture(scope="module", params=["supervised", "autoencoder"])
@@ -31,7 +30,7 @@ def baseline(request, tmp_path_factory):
         model = AutoencoderController(AutoencoderArchitecture(widths=(4, 8, 8), embedding_dim=16))
         model.law.gain.fill_(-10.0)
         model.law.position_clip.fill_(0.5)
-    return request.param, str(zoo.save(model, tmp_path_factory.mktemp("baseline") / request.param))
+    return request.param, str(entries.save(model, tmp_path_factory.mktemp("baseline") / request.param))
 
 
 def options(output, **changes):

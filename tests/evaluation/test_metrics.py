@@ -4,7 +4,7 @@ from scipy import stats
 
 from tsjepa.evaluation.evaluate import score_by_slot, summary
 from tsjepa.evaluation.metrics import Run, interval, normalized_score
-from tsjepa.score import has_failed, in_box
+from tsjepa.plants.score import has_failed, in_box
 
 
 def make_run() -> Run:

@@ -8,9 +8,9 @@ import cv2
 import pytest
 
 from tsjepa import cli
-from tsjepa.evaluation.age_growth import age_growth
 from tsjepa.evaluation.fleet_pictures import redraw
-from tsjepa.evaluation.provenance import provenance
+from tsjepa.paper.age_growth import age_growth
+from tsjepa.support.provenance import provenance
 
 RECIPES = Path(__file__).parents[2] / "recipes"
 SMALL = ["--seeds=2", "--plants.slots=100", "--radio.resource_blocks=2"]

@@ -27,13 +27,13 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import tiny
 import torch
 
-from tsjepa import cli, zoo
+from tsjepa import cli
 from tsjepa.data.storage import read_metadata
 from tsjepa.envs import FleetEnv  # noqa: F401 - imported before the fork; it makes no GL context
 from tsjepa.evaluation import evaluate, export, simulate  # noqa: F401
-from tsjepa.evaluation.provenance import provenance
-from tsjepa.files import write_text
-from tsjepa.models import Architecture, SemanticController
+from tsjepa.models import Architecture, SemanticController, entries
+from tsjepa.support.files import write_text
+from tsjepa.support.provenance import provenance
 from tsjepa.training import actor, jepa, monitor, probe, refine, resume  # noqa: F401
 
 JEPA, DATA, SEARCH = "recipes/jepa.yaml", "recipes/data.yaml", "recipes/fleet-search.yaml"
@@ -74,8 +74,8 @@ def run() -> object:
         checkpoint = torch.load(path / "checkpoints" / "last.ckpt", weights_only=True)
         found["checkpoint"] = {key: checkpoint[key] for key in STATE}
     if (path / "model").exists():
-        zoo.verify(path / "model")
-        found["model"] = (path / "model" / zoo.WEIGHTS).read_bytes()
+        entries.verify(path / "model")
+        found["model"] = (path / "model" / entries.WEIGHTS).read_bytes()
         found["log"] = (path / "metrics.csv").read_text()
     return found or None
 
@@ -90,16 +90,16 @@ def search() -> object:
 
 
 def entry() -> object:
-    zoo.verify(Path("checkpoints/tiny"))
-    return Path(f"checkpoints/tiny/{zoo.WEIGHTS}").read_bytes()
+    entries.verify(Path("checkpoints/tiny"))
+    return Path(f"checkpoints/tiny/{entries.WEIGHTS}").read_bytes()
 
 
 def two_models() -> None:
     """An entry of the zoo, and another model with its evaluation that is to take its place."""
     for seed, folder in ((1, "checkpoints/tiny"), (2, "runs/actor/model")):
         torch.manual_seed(seed)
-        zoo.save(SemanticController(Architecture(**SIZES)), folder)
-    figures = {"model_sha256": zoo.load("runs/actor/model").entry_sha256, "closed_loop": []}
+        entries.save(SemanticController(Architecture(**SIZES)), folder)
+    figures = {"model_sha256": entries.load("runs/actor/model").entry_sha256, "closed_loop": []}
     Path("runs/actor/evaluation").mkdir()
     Path("runs/actor/evaluation/evaluation.json").write_text(json.dumps(figures))
 

@@ -117,7 +117,7 @@ def test_values_are_taken_or_refused(work, monkeypatch, command):
     module = importlib.import_module(path)
     function = getattr(module, name)
     monkeypatch.setattr(module, name, functools.wraps(function)(lambda **values: None))
-    monkeypatch.setattr(cli, "exclusive", lambda folder: contextlib.nullcontext())
+    monkeypatch.setattr(cli.command_line, "exclusive", lambda folder: contextlib.nullcontext())
     base = ["--config", RECIPES[command]] if command in RECIPES else []
 
     @tries(command)

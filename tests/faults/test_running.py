@@ -10,8 +10,8 @@ from deadly import die, die_once
 
 from tsjepa.data.storage import read_metadata
 from tsjepa.envs import Renderer
+from tsjepa.support.workers import ATTEMPTS, run_items
 from tsjepa.training.jepa import TSJEPA
-from tsjepa.workers import ATTEMPTS, run_items
 
 
 def test_a_loss_that_explodes_ends_the_fit_and_keeps_the_last_good_checkpoint(home, command, monkeypatch):

@@ -17,10 +17,10 @@ import yaml
 from conftest import DATA, DATA_RECIPE, RECIPE, RUN
 from tensordict import TensorDict
 
-from tsjepa import zoo
 from tsjepa.data.storage import METADATA, open_split
-from tsjepa.files import exclusive, replace_folder, write_text
-from tsjepa.journal import Journal
+from tsjepa.models import entries
+from tsjepa.support.files import exclusive, replace_folder, write_text
+from tsjepa.support.journal import Journal
 from tsjepa.training.resume import AtomicCheckpointIO
 
 EXPORT = ("export", str(RUN), "tiny")
@@ -86,7 +86,7 @@ def seal(mount):
 @pytest.fixture
 def evaluation(home):
     """An evaluation of the model that the tiny fit left."""
-    figures = {"model_sha256": zoo.load(home / RUN / "model").entry_sha256, "closed_loop": []}
+    figures = {"model_sha256": entries.load(home / RUN / "model").entry_sha256, "closed_loop": []}
     (home / RUN / "evaluation").mkdir()
     (home / RUN / "evaluation" / "evaluation.json").write_text(json.dumps(figures))
 
@@ -247,7 +247,7 @@ def test_data_that_make_no_sense_are_refused_before_the_fit(home, command, key, 
 
 
 def test_weights_that_were_tampered_with_are_refused_by_every_command(evaluation, home, command):
-    weights = home / RUN / "model" / zoo.WEIGHTS
+    weights = home / RUN / "model" / entries.WEIGHTS
     weights.write_bytes(weights.read_bytes()[:-1] + b"\x7f")
     recipe = yaml.safe_load((home / "recipes" / "actor.yaml").read_text())
     assert recipe["model"]["init_args"]["pretrained"] == f"{RUN}/model"

@@ -2,10 +2,9 @@ import pytest
 import torch
 
 import tsjepa
-from tsjepa import zoo
-from tsjepa.envs.expert import Expert
-from tsjepa.models import AutoencoderArchitecture, AutoencoderController
+from tsjepa.models import AutoencoderArchitecture, AutoencoderController, entries
 from tsjepa.models.autoencoder import ClippedLinearLaw
+from tsjepa.plants.expert import Expert
 
 SMALL = AutoencoderArchitecture(
     widths=(4, 8, 8), embedding_dim=8, decoder_channels=(8, 8, 4, 4), estimator_channels=(4, 8, 8)
@@ -62,7 +61,7 @@ def test_it_says_that_it_predicts_nothing(model, embedding):
 
 
 def test_it_is_an_entry_of_the_zoo_like_any_other(model, embedding, tmp_path):
-    loaded = tsjepa.load(zoo.save(model, tmp_path / "entry"))
+    loaded = tsjepa.load(entries.save(model, tmp_path / "entry"))
     assert isinstance(loaded, AutoencoderController)
     assert loaded.architecture == SMALL
     assert torch.equal(loaded.act(embedding), model.act(embedding))

@@ -7,7 +7,7 @@ from torch.nn import functional as F
 from tsjepa.models import AutoencoderArchitecture, AutoencoderController, Decoder, Encoder
 from tsjepa.models.encoder import patchify
 from tsjepa.training.autoencoder import Autoencoder, fit_estimator
-from tsjepa.training.decoder import look_around
+from tsjepa.training.finish.decoder import look_around
 
 D = 8
 

@@ -5,9 +5,9 @@ from torch.nn import functional as F
 
 from tsjepa.models import Architecture, Predictor, SemanticController, StateProbe
 from tsjepa.training.actor import imitation_pairs
+from tsjepa.training.finish.probe import fit_probe
+from tsjepa.training.finish.refine import refine_predictor
 from tsjepa.training.monitor import prediction_skill
-from tsjepa.training.probe import fit_probe
-from tsjepa.training.refine import refine_predictor
 
 D = 16
 

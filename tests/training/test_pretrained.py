@@ -1,8 +1,7 @@
 import pytest
 import torch
 
-from tsjepa import zoo
-from tsjepa.models import Architecture, Encoder, Predictor, SemanticController
+from tsjepa.models import Architecture, Encoder, Predictor, SemanticController, entries
 from tsjepa.training.pretrained import start_from
 
 
@@ -10,13 +9,13 @@ from tsjepa.training.pretrained import start_from
 def entry(tmp_path_factory) -> str:
     torch.manual_seed(0)
     folder = tmp_path_factory.mktemp("zoo") / "entry"
-    return str(zoo.save(SemanticController(Architecture(widths=(4, 8, 8), embedding_dim=16)), folder))
+    return str(entries.save(SemanticController(Architecture(widths=(4, 8, 8), embedding_dim=16)), folder))
 
 
 def test_all_weights_come_from_the_entry_where_sizes_agree(entry):
     encoder, predictor = Encoder(widths=(4, 8, 8), embedding_dim=16), Predictor(16)
     start_from(entry, encoder=encoder, predictor=predictor)
-    given = zoo.load(entry)
+    given = entries.load(entry)
     for part, module in (("encoder", encoder), ("predictor", predictor)):
         for name, value in getattr(given, part).state_dict().items():
             assert torch.equal(module.state_dict()[name], value)
@@ -26,7 +25,7 @@ def test_another_embedding_dimension_keeps_the_convolutions_and_draws_its_own_pr
     encoder = Encoder(widths=(4, 8, 8), embedding_dim=6)
     drawn = encoder.project.weight.clone()
     start_from(entry, encoder=encoder, predictor=Predictor(6))
-    assert torch.equal(encoder.stem[0].weight, zoo.load(entry).encoder.stem[0].weight)
+    assert torch.equal(encoder.stem[0].weight, entries.load(entry).encoder.stem[0].weight)
     assert torch.equal(encoder.project.weight, drawn)
 
 

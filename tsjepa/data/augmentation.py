@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from tsjepa.models.encoder import PATCH, PIXEL_MEAN, PIXEL_STD, patchify, unpatchify
-from tsjepa.parallel import rank_and_world_size
+from tsjepa.support.parallel import rank_and_world_size
 
 LUMA = (0.299, 0.587, 0.114)  # ITU-R BT.601, the luma component that colour dropping keeps
 MID_GREY = 0.5  # contrast turns about it

@@ -15,15 +15,15 @@ from tensordict import TensorDict
 from torch import Tensor
 from tqdm import tqdm
 
-from tsjepa.checks import at_least, within
 from tsjepa.data.contact_sheet import contact_sheet
 from tsjepa.data.storage import JOURNAL, publish
 from tsjepa.envs import FleetEnv, Renderer, StartDistribution
-from tsjepa.envs.camera import HEIGHT, WIDTH
-from tsjepa.envs.expert import Expert
-from tsjepa.files import exclusive
-from tsjepa.journal import Journal
-from tsjepa.workers import RAY, Workers, run_items
+from tsjepa.plants.expert import Expert
+from tsjepa.plants.renderer import HEIGHT, WIDTH
+from tsjepa.support.checks import at_least, within
+from tsjepa.support.files import exclusive
+from tsjepa.support.journal import Journal
+from tsjepa.support.workers import RAY, Workers, run_items
 
 FRAME_BYTES = HEIGHT * WIDTH * 3
 

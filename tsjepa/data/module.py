@@ -9,10 +9,11 @@ import lightning
 from tensordict import TensorDictBase
 from torch.utils.data import DataLoader
 
-from tsjepa.checks import at_least
 from tsjepa.data.checks import check_split
 from tsjepa.data.storage import METADATA, open_split, read_metadata
 from tsjepa.data.windows import WindowDataset, WindowSampler
+from tsjepa.support.checks import at_least
+from tsjepa.support.recipes import find_recipe, parse_arguments
 
 
 def as_is(batch):
@@ -35,7 +36,7 @@ class Trajectories(lightning.LightningDataModule):
         splits: of the data set that are trained on.
         seed: seed of the windows' own stream.
         start_share: share of the windows that begin where a trajectory begins (see
-            :func:`~tsjepa.training.refine.refine_predictor` for why).
+            :func:`~tsjepa.training.finish.refine.refine_predictor` for why).
     """
 
     def __init__(
@@ -76,12 +77,12 @@ class Trajectories(lightning.LightningDataModule):
     def prepare_data(self) -> None:
         if (self.path / METADATA).is_file():
             return
-        from tsjepa.cli import find_recipe, run_command
-
         recipe = find_recipe(self.recipe)
         if not Path(recipe).is_file():
             raise FileNotFoundError(f"There is no data set in {self.path} and no recipe {recipe} to collect it with.")
-        run_command("collect", ["--config", recipe, "--path", str(self.path)])
+        from tsjepa.data.collect import collect  # needs a renderer, which training from a data set does not
+
+        collect(**parse_arguments(collect, ["--config", recipe, "--path", str(self.path)], "tsjepa collect"))
 
     def setup(self, stage: str | None = None) -> None:
         self.metadata = read_metadata(self.path)

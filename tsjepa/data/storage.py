@@ -8,7 +8,7 @@ from pathlib import Path
 
 from tensordict import TensorDict
 
-from tsjepa.files import replace_folder
+from tsjepa.support.files import replace_folder
 
 METADATA, JOURNAL = "metadata.json", "journal.jsonl"
 FORMAT = 1

@@ -8,11 +8,11 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
-from tsjepa.envs.camera import DEFAULT_COLORS, Renderer
-from tsjepa.envs.dynamics import FORCE_LIMIT, Dynamics, check_force
-from tsjepa.envs.starts import StartDistribution, draw_colors, noise_std_pair
-from tsjepa.envs.streams import NOISE, normals
-from tsjepa.score import has_failed, in_box
+from tsjepa.plants.dynamics import FORCE_LIMIT, Dynamics, check_force
+from tsjepa.plants.renderer import DEFAULT_COLORS, Renderer
+from tsjepa.plants.score import has_failed, in_box
+from tsjepa.plants.starts import StartDistribution, draw_colors, noise_std_pair
+from tsjepa.plants.streams import NOISE, normals
 
 DONE_KEYS = ("done", "terminated", "truncated")
 

@@ -58,7 +58,7 @@ def is_update(slot: int, period: int) -> bool:
 @torch.no_grad()
 def run(starts: Starts, policy: Policy) -> Run:
     """Drives the plants of ``starts`` with ``policy(slot, observation) -> action [N, 1]``."""
-    from tsjepa.envs.expert import Expert
+    from tsjepa.plants.expert import Expert
 
     fleet, expert = starts.fleet(), Expert(starts.sampling_interval)
     observation = fleet.reset()
@@ -91,7 +91,7 @@ def planned_policy(law: Callable[[Tensor], Tensor], sampling_interval: float, sl
 
     So much is to be had from a perfect model that hears the true state once.
     """
-    from tsjepa.envs.dynamics import Dynamics
+    from tsjepa.plants.dynamics import Dynamics
 
     plan: list[Tensor] = []
 

@@ -11,17 +11,17 @@ from typing import Literal
 import torch
 from tqdm import tqdm
 
-from tsjepa.checks import at_least, within
 from tsjepa.data.storage import read_metadata
+from tsjepa.envs.embedding_codec import embedding_codec
 from tsjepa.evaluation.closed_loop import ONCE, SemanticPolicy, Starts, planned_policy, run, true_state_policy
-from tsjepa.evaluation.codec import embedding_codec
 from tsjepa.evaluation.metrics import Run, interval, normalized_score
-from tsjepa.evaluation.model_card import kind_of
 from tsjepa.evaluation.open_loop import open_loop_metrics
 from tsjepa.evaluation.pictures import horizon_plot, look_inside, loop_plot
-from tsjepa.evaluation.provenance import machine, provenance
-from tsjepa.files import write_text
-from tsjepa.network.codecs import payload_bits
+from tsjepa.radio.codecs import payload_bits
+from tsjepa.support.checks import at_least, within
+from tsjepa.support.files import write_text
+from tsjepa.support.provenance import machine, provenance
+from tsjepa.zoo.card import kind_of
 
 STATE_BITS = 4 * 32
 RAW_FRAME_BITS = 8 * 3 * 64 * 128
@@ -64,7 +64,7 @@ def evaluate(
     """
     import tsjepa
     from tsjepa.envs import Renderer
-    from tsjepa.envs.expert import Expert, reference_lqr
+    from tsjepa.plants.expert import Expert, reference_lqr
 
     at_least(2, seeds=seeds)
     at_least(1, starts_per_seed=starts_per_seed, slots=slots, frame_history=frame_history)

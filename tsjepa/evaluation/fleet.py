@@ -10,14 +10,8 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from tsjepa.envs.expert import Expert, linearised_plant, reference_lqr
-from tsjepa.evaluation.closed_loop import run, true_state_policy
-from tsjepa.evaluation.fleet_codecs import FRAME_CODECS, update_bits
-from tsjepa.evaluation.fleet_settings import Plants, Radio
-from tsjepa.evaluation.metrics import Run
-from tsjepa.models import SemanticController
-from tsjepa.network import SCHEDULERS
-from tsjepa.network.transforms import (
+from tsjepa.envs.settings import Plants, Radio
+from tsjepa.envs.transforms import (
     Camera,
     Channel,
     Codec,
@@ -28,6 +22,12 @@ from tsjepa.network.transforms import (
     Uplink,
     linear_model,
 )
+from tsjepa.envs.update_codec import FRAME_CODECS, update_bits
+from tsjepa.evaluation.closed_loop import run, true_state_policy
+from tsjepa.evaluation.metrics import Run
+from tsjepa.models import SemanticController
+from tsjepa.plants.expert import Expert, linearised_plant, reference_lqr
+from tsjepa.radio import SCHEDULERS
 
 HOLD, LINEAR = "hold", "linear"
 RECORDED = ("scheduled", "delivered", "age_of_information", "payload_bits")
@@ -84,10 +84,10 @@ def build_fleet(
 
     Args:
         count: I devices.
-        scheduler: a name in ``tsjepa.network.SCHEDULERS``; the oracle serves everybody and loses nothing.
+        scheduler: a name in ``tsjepa.radio.SCHEDULERS``; the oracle serves everybody and loses nothing.
         seed: of the plants, the channel, and the random scheduler.
         plants, radio: the experiment.
-        codec: from :func:`tsjepa.evaluation.fleet_codecs.fitted_codec`.
+        codec: from :func:`tsjepa.envs.update_codec.fitted_codec`.
         controller: "hold" (the expert's command on the received state, held between updates), "linear" (the expert on
             the received state, predicted by the linearised plant between updates), or a model; one without a predictor
             (the supervised baseline) has its command held between updates.

@@ -9,7 +9,7 @@ import numpy as np
 
 from tsjepa.evaluation.fleet import FleetRun
 from tsjepa.evaluation.pictures import write_video
-from tsjepa.score import FAILURE_POSITION, has_failed, in_box
+from tsjepa.plants.score import FAILURE_POSITION, has_failed, in_box
 
 TILE_HEIGHT, TILE_WIDTH = 66, 96
 BORDER = 4

@@ -8,7 +8,7 @@ import torch
 from scipy import stats
 from torch import Tensor
 
-from tsjepa.score import has_failed, in_box
+from tsjepa.plants.score import has_failed, in_box
 
 COMMAND_RANGE = 40.0  # newtons, max(u) - min(u) of the actuator (paper-notes, decision 24)
 EFFORT_WEIGHT = 1e-3  # R of the quadratic cost (decision 17)

@@ -13,16 +13,16 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
+from tsjepa.envs.settings import Plants, Radio
+from tsjepa.envs.update_codec import fitted_codec
 from tsjepa.evaluation import fleet_search
 from tsjepa.evaluation.fleet import HOLD, LINEAR, FleetRun, check_scheduler, optimal_scores, run_fleet
-from tsjepa.evaluation.fleet_codecs import fitted_codec
 from tsjepa.evaluation.fleet_film import fleet_film
 from tsjepa.evaluation.fleet_pictures import age_plot, capacity_plot, device_plot
-from tsjepa.evaluation.fleet_settings import Plants, Radio
 from tsjepa.evaluation.metrics import interval, normalized_score
-from tsjepa.evaluation.provenance import provenance
-from tsjepa.files import write_text
-from tsjepa.journal import Journal
+from tsjepa.support.files import write_text
+from tsjepa.support.journal import Journal
+from tsjepa.support.provenance import provenance
 
 
 def simulate(
@@ -44,7 +44,7 @@ def simulate(
 
     Args:
         num_devices: I, or None for the search alone.
-        schedulers: names in tsjepa.network.SCHEDULERS; the film shows the first two.
+        schedulers: names in tsjepa.radio.SCHEDULERS; the film shows the first two.
         controller: "hold" (the expert on the received state, its command held between updates), "linear" (the expert
             on a state that the linearised plant predicts between updates), or a model by name or folder.
         radio: the uplink.

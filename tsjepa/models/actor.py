@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from torch import Tensor, nn
 
-from tsjepa.checks import at_least, within
+from tsjepa.support.checks import at_least, within
 
 COMMAND_LIMIT = 20.0  # newtons; u_max = -u_min in the paper
 

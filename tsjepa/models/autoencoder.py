@@ -14,10 +14,10 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from tsjepa.hub import HubModel
 from tsjepa.models.actor import COMMAND_LIMIT
 from tsjepa.models.decoder import Decoder
 from tsjepa.models.encoder import PATCH, Encoder, ResidualBlock
+from tsjepa.models.hub import HubModel
 
 
 @dataclass
@@ -102,7 +102,7 @@ class AutoencoderController(HubModel, nn.Module):
         architecture: sizes of the parts; see :class:`tsjepa.models.SemanticController`.
 
     ``code_low`` and ``code_high`` [d] are the ranges over which an integer codec sends an embedding; NaN until
-    :class:`tsjepa.training.codec.FitCodec` has set them.
+    :class:`tsjepa.training.finish.codec.FitCodec` has set them.
     """
 
     def __init__(self, architecture: AutoencoderArchitecture) -> None:

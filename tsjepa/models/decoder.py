@@ -74,7 +74,7 @@ class Decoder(nn.Module):
         if not self.fitted:
             raise ValueError(
                 "The decoder of this model was never trained, so that its embeddings cannot be drawn; add "
-                "tsjepa.training.decoder.FitDecoder to the recipe, before ExportModel."
+                "tsjepa.training.finish.decoder.FitDecoder to the recipe, before ExportModel."
             )
         drawn = self.draw(embedding.reshape(-1, embedding.shape[-1])).float()
         frames = unpatchify((self.background + self.contrast * drawn).clamp(0, 255))

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from tsjepa.checks import at_least
+from tsjepa.support.checks import at_least
 
 # ImageNet statistics, as the paper's "Normalization" step prints them.
 PIXEL_MEAN = (0.485, 0.456, 0.406)

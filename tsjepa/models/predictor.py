@@ -6,7 +6,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from tsjepa.checks import at_least
+from tsjepa.support.checks import at_least
 
 
 class Predictor(nn.Module):

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from tsjepa.hub import HubModel
 from tsjepa.models.actor import Actor
 from tsjepa.models.decoder import Decoder
 from tsjepa.models.encoder import Encoder
+from tsjepa.models.hub import HubModel
 from tsjepa.models.predictor import Predictor
 from tsjepa.models.probe import StateProbe
 
@@ -45,7 +45,7 @@ class SemanticController(HubModel, nn.Module):
         actor_dropout: only matters while the actor is trained.
 
     ``code_low`` and ``code_high`` [d] are the ranges over which an integer codec sends an embedding; NaN until
-    :class:`tsjepa.training.codec.FitCodec` has set them.
+    :class:`tsjepa.training.finish.codec.FitCodec` has set them.
     """
 
     def __init__(self, architecture: Architecture, actor_dropout: float = 0.0) -> None:

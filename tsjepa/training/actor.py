@@ -10,8 +10,7 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
-from tsjepa import zoo
-from tsjepa.models import SemanticController
+from tsjepa.models import SemanticController, entries
 from tsjepa.models.actor import COMMAND_LIMIT
 from tsjepa.training.schedule import warmup_cosine_schedule
 
@@ -71,7 +70,7 @@ class SemanticActor(lightning.LightningModule):
     ) -> None:
         super().__init__()
         self.learning_rate, self.weight_decay, self.seed = learning_rate, weight_decay, seed
-        frozen = zoo.load(pretrained)
+        frozen = entries.load(pretrained)
         self.model = SemanticController(replace(frozen.architecture, actor_hidden_dims=tuple(hidden_dims)), dropout)
         self.model.encoder.load_state_dict(frozen.encoder.state_dict())
         self.model.predictor.load_state_dict(frozen.predictor.state_dict())

@@ -14,9 +14,9 @@ from tsjepa.models import Encoder
 from tsjepa.models.autoencoder import AutoencoderArchitecture, AutoencoderController
 from tsjepa.models.decoder import Decoder
 from tsjepa.models.encoder import patchify
-from tsjepa.training.decoder import look_around, reconstruction_loss
 from tsjepa.training.embeddings import embed_split
-from tsjepa.training.minimize import FORWARD_DTYPE, minimize
+from tsjepa.training.finish.decoder import look_around, reconstruction_loss
+from tsjepa.training.finish.minimize import FORWARD_DTYPE, minimize
 from tsjepa.training.schedule import warmup_cosine_schedule
 
 
@@ -67,7 +67,7 @@ class Autoencoder(lightning.LightningModule):
         self.model.encoder, self.model.decoder = encoder, decoder
 
     def setup(self, stage: str) -> None:
-        from tsjepa.envs.expert import Expert
+        from tsjepa.plants.expert import Expert
 
         data = self.trainer.datamodule
         interval = data.metadata["sampling_interval"]

@@ -9,8 +9,8 @@ import numpy as np
 import torch
 from tensordict import TensorDictBase
 
-from tsjepa import zoo
-from tsjepa.evaluation.provenance import provenance
+from tsjepa.models import entries
+from tsjepa.support.provenance import provenance
 
 
 class StopWhenNotFinite(lightning.Callback):
@@ -65,7 +65,7 @@ class ExportModel(lightning.Callback):
                 # so that parts which this fit does not train come out alike in a resumed one
                 torch.manual_seed(0)
                 model = module.controller()
-            zoo.save(model, self.folder, metrics)
+            entries.save(model, self.folder, metrics)
             print(f"Model written to {self.folder}.")
 
 

@@ -9,10 +9,10 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
-from tsjepa.checks import within
 from tsjepa.data.augmentation import Augmentation
 from tsjepa.models import Architecture, Encoder, Predictor, SemanticController
-from tsjepa.parallel import gather
+from tsjepa.support.checks import within
+from tsjepa.support.parallel import gather
 from tsjepa.training.embeddings import embed_split
 from tsjepa.training.losses import InverseDynamics, cosine_loss, covariance_loss, variance_loss
 from tsjepa.training.pretrained import start_from

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from torch import nn
 
-from tsjepa import zoo
+from tsjepa.models import entries
 
 
 def start_from(name: str, **parts: nn.Module) -> None:
@@ -19,7 +19,7 @@ def start_from(name: str, **parts: nn.Module) -> None:
     Raises:
         ValueError: nothing of a part agrees, so that it would start from nothing.
     """
-    controller = zoo.load(name)
+    controller = entries.load(name)
     for part, module in parts.items():
         own = module.state_dict()
         given = getattr(controller, part).state_dict()

@@ -12,12 +12,12 @@ from lightning.pytorch.loggers import CSVLogger
 from lightning.pytorch.loggers.csv_logs import ExperimentWriter
 from lightning.pytorch.plugins.io import TorchCheckpointIO
 
-from tsjepa.files import write_text
-from tsjepa.trust import load_checkpoint
+from tsjepa.support.files import write_text
+from tsjepa.support.trust import load_checkpoint
 
 
 class AtomicCheckpointIO(TorchCheckpointIO):
-    """Writes a checkpoint beside its place and renames it; reads tensors and plain values only, see tsjepa.trust.
+    """Writes a checkpoint beside its place and renames it; reads tensors and plain values only.
 
     Lightning writes into the system's temporary folder and moves the file, which is a copy where that folder is on
     another file system; a kill during the copy leaves half a ``last.ckpt``.

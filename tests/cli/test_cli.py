@@ -1,0 +1,161 @@
+"""The command line: help, exit statuses, and what is said when something is wrong."""
+
+import importlib.metadata
+import subprocess
+import sys
+
+import pytest
+
+from tsjepa import cli
+from tsjepa.cli import doctor
+from tsjepa.cli.errors import explain
+from tsjepa.support import recipes
+from tsjepa.support.gl import missing_backend_message
+from tsjepa.support.recipes import one_sentence
+
+ALL_COMMANDS = [*cli.LIGHTNING_COMMANDS, *cli.COMMANDS]
+
+
+def run(capsys, *arguments: str) -> tuple[int, str, str]:
+    """Exit status, standard output and standard error of one command."""
+    try:
+        status = cli.main(arguments)
+    except SystemExit as exit_:
+        status = exit_.code
+    return status, *capsys.readouterr()
+
+
+def test_help_lists_every_command_without_importing_anything_heavy():
+    code = (
+        "import sys; from tsjepa.cli import main; main(['--help']); "
+        "print('heavy:', *(name for name in ('torch', 'lightning', 'mujoco', 'jsonargparse') if name in sys.modules))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert all(command in done.stdout for command in ALL_COMMANDS)
+    assert done.stdout.splitlines()[-1].strip() == "heavy:"
+
+
+@pytest.mark.parametrize("command", ALL_COMMANDS)
+def test_every_command_has_help(capsys, command):
+    status, output, _ = run(capsys, command, "--help")
+    assert status == 0
+    assert output.startswith("usage: tsjepa")
+    assert "--config" in output
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        ([], "a command is missing"),
+        (["trian"], "'trian'"),
+        (["doctor", "--frames", "many"], "frames"),
+        (["doctor", "--frmes", "3"], "--frmes"),
+        (["collect", "--config", "absent.yaml"], "absent.yaml"),
+        (["fit", "--config", "absent.yaml"], "absent.yaml"),
+        (["fit", "--trainer.max_epochs", "many"], "trainer.max_epochs"),
+        (["fit", "--model", "tsjepa.training.Absent"], "Absent"),
+    ],
+)
+def test_wrong_arguments_are_answered_in_one_line_and_status_2(capsys, arguments, named):
+    status, output, complaint = run(capsys, *arguments)
+    assert status == 2
+    assert output == ""
+    assert named in complaint
+    assert len(complaint.splitlines()) == 1
+
+
+def test_what_the_program_refuses_is_said_without_a_traceback(capsys):
+    status, _, complaint = run(capsys, "doctor", "--frames", "0")
+    assert status == 2
+    assert complaint.startswith("tsjepa doctor: frames is 0")
+    assert len(complaint.splitlines()) == 1
+
+
+def test_traceback_on_demand(monkeypatch):
+    monkeypatch.setenv("TSJEPA_TRACEBACK", "1")
+    with pytest.raises(ValueError, match="frames is 0"):
+        cli.main(["doctor", "--frames", "0"])
+
+
+def test_unforeseen_exceptions_keep_their_traceback(monkeypatch):
+    def broken() -> None:
+        raise ValueError("not raised by the package")
+
+    monkeypatch.setattr(doctor, "doctor", broken)
+    with pytest.raises(ValueError, match="not raised by the package"):
+        cli.main(["doctor"])
+
+
+def test_missing_package_is_named(monkeypatch, capsys):
+    def needs_more() -> None:
+        import a_package_that_nobody_has  # noqa: F401
+
+    monkeypatch.setattr(doctor, "doctor", needs_more)
+    status, _, complaint = run(capsys, "doctor")
+    assert status == 1
+    assert "a_package_that_nobody_has is not installed" in complaint
+
+
+def test_value_error_of_a_call_is_not_taken_for_a_refusal():
+    try:
+        doctor.re.compile("(")
+    except Exception as error:
+        assert explain(error) is None
+
+
+def test_messages_of_jsonargparse_are_distilled():
+    message = """Parser key "trainer.max_epochs":
+  Does not validate against any of the Union subtypes
+  Subtypes: [<class 'int'>, <class 'NoneType'>]
+  Errors:
+    - Expected a <class 'int'>
+    - Expected a <class 'NoneType'>
+  Given value type: <class 'str'>
+  Given value: abc"""
+    assert one_sentence(message) == "option 'trainer.max_epochs': Expected a int; Given value: abc"
+
+
+def test_shipped_recipes_are_found_from_anywhere(monkeypatch, tmp_path):
+    shipped = tmp_path / "installed"
+    (shipped / "recipes").mkdir(parents=True)
+    (shipped / "recipes" / "jepa.yaml").touch()
+    monkeypatch.setattr(recipes, "PACKAGE", shipped)
+    monkeypatch.chdir(tmp_path)
+    found, absent = str(shipped / "recipes" / "jepa.yaml"), "recipes/absent.yaml"
+    assert recipes.find_recipes(["--config", "recipes/jepa.yaml", absent]) == ["--config", found, absent]
+    (tmp_path / "recipes").mkdir()
+    (tmp_path / "recipes" / "jepa.yaml").touch()
+    assert recipes.find_recipes(["recipes/jepa.yaml"]) == ["recipes/jepa.yaml"]
+
+
+def test_doctor_finds_this_machine_well(capsys):
+    status, output, _ = run(capsys, "doctor", "--frames", "20")
+    assert status == 0, output
+    assert "frames/s" in output
+    assert f"mujoco {importlib.metadata.version('mujoco')}" in output
+
+
+def test_doctor_names_the_package_to_mend(capsys, monkeypatch):
+    version = importlib.metadata.version
+    monkeypatch.setattr(importlib.metadata, "version", lambda name: "4.0.0" if name == "mujoco" else version(name))
+    monkeypatch.setattr(doctor, "_TRIAL", "print('frames/s', {frames})")
+    status, output, _ = run(capsys, "doctor", "--frames", "700")
+    assert status == 1
+    assert "700 frames/s" in output
+    assert "mend: mujoco is 4.0.0 but has to be" in output
+
+
+@pytest.mark.parametrize(
+    ("trial", "said"),
+    [
+        (f"raise RuntimeError({missing_backend_message()!r})", "libegl1"),
+        ("raise OSError('no such driver')", "no such driver"),
+        ("import os; os.abort()", "exit status"),
+        ("print('frames/s', 0.0)", "empty frames"),
+    ],
+)
+def test_doctor_says_why_nothing_is_rendered(capsys, monkeypatch, trial, said):
+    monkeypatch.setattr(doctor, "_TRIAL", trial)
+    status, output, _ = run(capsys, "doctor")
+    assert status == 1
+    assert said in output.split("mend:")[1]

@@ -1,0 +1,291 @@
+"""``tsjepa export`` and ``tsjepa zoo``: from a run to an entry, to the list, and to scores that are measured again."""
+
+import json
+from functools import partial
+from pathlib import Path
+
+import pytest
+import tiny_controller
+import torch
+import yaml
+
+import tsjepa
+from tsjepa import cli
+from tsjepa.evaluation import evaluate as evaluation
+from tsjepa.evaluation import export as export_module
+from tsjepa.evaluation.evaluate import FIRST_SLOT
+from tsjepa.models import entries
+from tsjepa.zoo.card import card, kind_of
+from tsjepa.zoo.export import export
+from tsjepa.zoo.verify import Check, failures_allowed, key_figures, table
+
+tiny = partial(tiny_controller.tiny, sampling_interval=0.02)
+SMALL = {"periods": (5,), "seeds": 2, "starts_per_seed": 6, "slots": 80, "video": False, "data": None}
+METADATA = {"sampling_interval": 0.02, "slots": 100, "seed": 0, "random_colors": False, "sha256": "5e", "files": {}}
+
+
+def write_run(folder: str, model, pretrained: str | None, **metrics) -> None:
+    """What a fit leaves: the model, and the configuration as Lightning writes it."""
+    entries.save(model, f"{folder}/model", metrics)
+    config = {
+        "seed_everything": 3,
+        "model": {"class_path": "a.Module", "init_args": {"learning_rate": 0.1, "pretrained": pretrained}},
+        "data": {"class_path": "a.Data", "init_args": {"path": "data/tiny", "batch_size": 2}},
+    }
+    Path(folder, "config.yaml").write_text(yaml.safe_dump(config))
+
+
+@pytest.fixture(scope="module")
+def home(tmp_path_factory):
+    """A folder with two runs, the second of which starts from the first, and the first's data set."""
+    folder = tmp_path_factory.mktemp("home")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        made_by = {"command": "tsjepa fit --config recipes/jepa.yaml", "commit": "abc", "date": "2026-01-01"}
+        write_run("runs/jepa", tiny(0), None, made_by=made_by)
+        write_run("runs/actor", tiny(1), "runs/jepa/model")
+        Path("data/tiny").mkdir(parents=True)
+        splits = {"train": {"episodes": 180, "coverage": True}, "test": {"episodes": 40, "coverage": False}}
+        Path("data/tiny/metadata.json").write_text(json.dumps({"format": 1, "splits": splits, **METADATA}))
+    return folder
+
+
+@pytest.fixture
+def evaluations(home, monkeypatch):
+    """Runs the test in ``home``; the options of every evaluation that is made there, each a small one."""
+    monkeypatch.chdir(home)
+    made, real = [], evaluation.evaluate
+
+    def small(model: str, output: str, data: str | None) -> dict:
+        made.append((model, output, data))
+        return real(model, output, **SMALL)
+
+    monkeypatch.setattr(evaluation, "evaluate", small)
+    return made
+
+
+@pytest.fixture
+def entry(evaluations):
+    """The second run as an entry."""
+    export("runs/actor", "tiny", trained_with="One core in 3 minutes.")
+    return Path("checkpoints/tiny")
+
+
+def test_a_run_becomes_an_entry_with_one_command_and_is_evaluated_once(evaluations, home, capsys):
+    (home / "runs/actor/evaluation/evaluation.json").unlink(missing_ok=True)
+    assert cli.main(["export", "runs/actor", "first", "--folder", "exported"]) == 0
+    assert evaluations == [(str(Path("runs/actor/model")), str(Path("runs/actor/evaluation")), "data/tiny")]
+    assert capsys.readouterr().out.splitlines()[-1] == f"first written to {Path('exported/first')}."
+    assert cli.main(["export", "runs/actor/model", "second", "--folder", "exported"]) == 0
+    assert len(evaluations) == 1
+    first, second = (tsjepa.load(f"exported/{name}") for name in ("first", "second"))
+    assert torch.equal(first.code_low, tiny(1).code_low)
+    assert first.metrics == second.metrics
+    assert first.metrics["seeds"] == [0, 1]
+    assert {"command", "commit", "date"} <= set(first.metrics["made_by"])
+    assert {"processor", "cores"} <= set(first.metrics["machine"])
+
+
+def test_an_entry_says_how_it_was_trained(entry):
+    metrics = json.loads((entry / entries.METRICS).read_text())
+    first = {"command": "tsjepa fit --config recipes/jepa.yaml", "commit": "abc", "date": "2026-01-01"}
+    second = {"command": "tsjepa fit --config runs/actor/config.yaml"}
+    assert metrics["training"] == [fit | {"seed": 3, "data": "data/tiny"} for fit in (first, second)]
+    (data,) = metrics["data_sets"]
+    assert data["path"] == "data/tiny"
+    assert data["episodes"] == {"train": 180, "test": 40}
+    text = (entry / entries.CARD).read_text()
+    for line in (
+        "- `tsjepa fit --config recipes/jepa.yaml` (seed 3, commit abc, 2026-01-01)",
+        "- `tsjepa fit --config runs/actor/config.yaml` (seed 3)",
+        "- data `data/tiny`, episodes of 100 slots of 20 ms: 180 train, 40 test",
+        "- One core in 3 minutes.",
+        f"- {sum(parameter.numel() for parameter in tiny().parameters()):,} parameters, stored as float32",
+    ):
+        assert line in text.splitlines()
+
+
+def test_a_model_that_started_from_an_entry_continues_its_history(entry):
+    write_run("runs/next", tiny(2), "checkpoints/tiny")
+    history = export_module.training_history(Path("runs/next/model"))
+    assert [fit["command"] for fit in history] == [
+        "tsjepa fit --config recipes/jepa.yaml",
+        "tsjepa fit --config runs/actor/config.yaml",
+        "tsjepa fit --config runs/next/config.yaml",
+    ]
+
+
+def test_other_weights_are_evaluated_anew_and_never_given_the_figures_of_others(entry, evaluations):
+    Path("runs/again/evaluation").mkdir(parents=True)
+    write_run("runs/again", tiny(2), None)
+    figures = Path("runs/actor/evaluation/evaluation.json")
+    with pytest.raises(ValueError, match="is not about the weights in"):
+        export("runs/again", "again", evaluation=str(figures))
+    with pytest.raises(FileNotFoundError, match=r"no evaluation absent\.json"):
+        export("runs/again", "again", evaluation="absent.json")
+    Path("runs/again/evaluation/evaluation.json").write_text(figures.read_text())
+    evaluations.clear()
+    export("runs/again", "again")
+    assert len(evaluations) == 1
+    own, other = (json.loads(Path(f"checkpoints/{name}/metrics.json").read_text()) for name in ("again", "tiny"))
+    assert own["model_sha256"] == entries.fingerprint("runs/again/model") != other["model_sha256"]
+
+
+def test_names_that_are_none_are_refused(evaluations):
+    for name in ("", ".", "..", "../tiny", "zoo/tiny", "tiny/"):
+        with pytest.raises(ValueError, match="is no name of an entry"):
+            export("runs/actor", name)
+    with pytest.raises(FileNotFoundError, match="no model 'runs/absent'"):
+        export("runs/absent", "tiny")
+
+
+def test_16_bits_are_scored_before_they_are_shipped(entry, monkeypatch):
+    export("runs/actor", "half", half=True)
+    model = tsjepa.load("checkpoints/half")
+    assert model.metrics["weights"]["dtype"] == "float16"
+    assert [check["update_every"] for check in model.metrics["weights"]["scored_again"]] == [5]
+    bias = "actor.layers.0.bias"
+    assert torch.equal(model.state_dict()[bias], tiny(1).state_dict()[bias].half().float())
+    monkeypatch.setattr(export_module, "rescore", lambda model, name: [Check(1, 0.4, 0.9, 0.1, 0, 0)])
+    with pytest.raises(ValueError, match=r"16 bits are too few for worse \(update every 1: 0\.400"):
+        export("runs/actor", "worse", half=True)
+    assert not Path("checkpoints/worse").exists()
+
+
+def test_verify_measures_the_scores_of_the_card_again(entry, capsys):
+    assert cli.main(["zoo", "verify", str(entry)]) == 0
+    (line,) = capsys.readouterr().out.splitlines()[-1:]
+    (own,) = [row for row in tsjepa.load(entry).metrics["closed_loop"] if row["controller"] == "TS-JEPA"]
+    score, failures = sum(own["per_seed"]) / 2, own["failures"]
+    assert line == (
+        f"{entry}: update every 5: {score:.3f} and {failures} failures, its card says {score:.3f} ± "
+        f"{own['interval_95']:.3f} and at most {failures}: as it says"
+    )
+
+
+@pytest.mark.parametrize("change", [{"per_seed": [9.0, 9.0]}, {"per_seed": [float("nan")] * 2}])
+def test_verify_fails_with_one_sentence_where_a_score_has_left_its_interval(entry, capsys, change):
+    model = tsjepa.load(entry)
+    for row in model.metrics["closed_loop"]:
+        row |= change
+    entries.save(model, "checkpoints/altered", model.metrics)
+    assert cli.main(["zoo", "verify", "checkpoints/altered"]) != 0
+    output, complaint = capsys.readouterr()
+    assert "NOT AS IT SAYS" in output
+    assert complaint == "tsjepa zoo: Outside the interval of its card: checkpoints/altered; train or export it anew.\n"
+
+
+def test_a_score_inside_its_interval_with_too_many_falls_is_refused():
+    row = {"per_seed": [0.9] * 5, "failures": 22, "starts": 100}
+    allowed = failures_allowed(row, 2)
+    assert 9 <= allowed < 22  # 40 of the 100 starts are run again
+    assert Check(5, 0.9, 0.9, 0.1, allowed, allowed).passed
+    assert not Check(5, 0.9, 0.9, 0.1, allowed + 1, allowed).passed
+
+
+def test_none_may_fall_where_none_fell_and_all_where_all_did():
+    row = {"per_seed": [0.9] * 5, "starts": 100}
+    assert failures_allowed(row | {"failures": 0}, 2) == 0
+    assert failures_allowed(row | {"failures": 100}, 2) == 40
+
+
+@pytest.mark.parametrize(
+    ("damage", "said"),
+    [
+        (lambda folder: (folder / entries.WEIGHTS).write_bytes(b""), "is not the file that the manifest names"),
+        (lambda folder: entries.save(tiny(), folder), "do not say how it scored"),
+        (lambda folder: entries.save(tiny(), folder, {"closed_loop": []}), "do not say how it scored"),
+    ],
+)
+def test_verify_fails_with_one_sentence_where_nothing_can_be_scored(tmp_path, capsys, damage, said):
+    folder = entries.save(tiny(), tmp_path / "tiny")
+    damage(folder)
+    assert cli.main(["zoo", "verify", str(folder)]) != 0
+    (complaint,) = capsys.readouterr().err.splitlines()
+    assert complaint.startswith("tsjepa zoo: ")
+    assert said in complaint
+
+
+def test_arguments_by_place_are_as_many_as_there_are(capsys):
+    with pytest.raises(SystemExit):
+        cli.main(["zoo", "list", "tsjepa-cartpole", "more"])
+    with pytest.raises(SystemExit):
+        cli.main(["zoo", "improve"])
+    first, second = capsys.readouterr().err.splitlines()
+    assert "more" in first
+    assert "improve" in second
+
+
+def row(period, score: float, controller: str = "TS-JEPA") -> dict:
+    return {
+        "controller": controller,
+        "update_every": period,
+        "normalized_score": score,
+        "interval_95": 0.0123,
+        "failures": 2,
+        "starts": 100,
+        "command_nmae": 0.0087,
+        "bits_per_step": 8192 / period,
+    }
+
+
+FIGURES = {
+    "made_by": {"command": "tsjepa evaluate", "commit": "abc", "date": "2026-01-01"},
+    "machine": {"processor": "a processor", "cores": 2},
+    "optimal_policy": "reference LQR",
+    "starts": "5 seeds x 20",
+    "process_noise_std": 0.0,
+    "closed_loop": [row(1, 1.0, "expert, perfect feedback"), row(1, 0.9876), row(5, 0.9), row(5, 0.1, "expert, zero")],
+}
+
+
+def test_the_list_shows_the_key_figures_of_every_entry(tmp_path, monkeypatch, capsys):
+    entries.save(tiny(), tmp_path / "tiny", FIGURES)
+    entries.save(tiny(), tmp_path / "unmeasured")
+    monkeypatch.setattr(entries, "zoo_folder", lambda: tmp_path)
+    figures = key_figures("tiny")
+    assert figures["scores"] == [0.9876, 0.9, None]
+    assert (figures["command_nmae"], figures["bits_per_update"]) == (0.0087, 8192)
+    assert figures["megabytes"] == sum(path.stat().st_size for path in (tmp_path / "tiny").iterdir()) / 1e6
+    assert cli.main(["zoo"]) == 0
+    printed = capsys.readouterr().out
+    assert printed == table([figures, key_figures("unmeasured")]) + "\n"
+    heading, first, second = (line.split() for line in printed.splitlines())
+    assert heading == ["entry", "every", "slot", "every", "5", "every", "10", "NMAE", "bit/update", "MB"]
+    assert first == ["tiny", "0.988", "0.900", "-", "0.0087", "8192", f"{figures['megabytes']:.1f}"]
+    assert second[:-1] == ["unmeasured", "-", "-", "-", "-", "-"]
+
+
+def test_a_card_says_what_the_figures_say():
+    text = card("tiny", tiny(), FIGURES)
+    assert text.startswith("---\nlicense: apache-2.0\n")
+    assert yaml.safe_load(text.split("---\n")[1])["tags"] == ["control", "cart-pole", "jepa"]
+    lines = text.splitlines()
+    assert "| 1 | 0.988 ± 0.012 | 2 of 100 | 0.0087 | 8192 |" in lines
+    assert "| 5 | 0.900 ± 0.012 | 2 of 100 | 0.0087 | 1638 |" in lines
+    assert not any(line.startswith("| 5 | 0.1") for line in lines)
+    assert "Made by `tsjepa evaluate` at commit abc, 2026-01-01 on 2 cores of a processor." in lines
+    assert 'model = tsjepa.load("tiny")' in lines
+    assert "without process noise" in text
+    assert "Sent once" not in text
+    for slot, said in ((23, "first in slot 23"), (None, "in no slot")):
+        once = row(1, 0.5) | {"update_every": "once", FIRST_SLOT: slot}
+        told = card("tiny", tiny(), FIGURES | {"closed_loop": [once]})
+        assert f"Sent once, the mean error of the probed angle passes 0.05 rad {said}." in told
+    assert "noise of 0.008" in card("tiny", tiny(), FIGURES | {"process_noise_std": 0.008})
+
+
+def test_a_card_of_a_model_that_nobody_has_measured_claims_nothing():
+    text = card("tiny", tiny(), {})
+    assert "## Figures" not in text
+    assert "## Training" not in text
+    assert "## Use and limits" in text
+
+
+def test_a_card_of_a_controller_without_predictor_does_not_promise_one():
+    model = tiny()
+    model.architecture.has_predictor = False
+    assert kind_of(model) == "supervised"
+    text = card("tiny", model, FIGURES)
+    assert "model.predict" not in text
+    assert "the last command is held" in text

@@ -1,0 +1,125 @@
+"""The command line: ``tsjepa COMMAND ...``, and ``lightning COMMAND ...`` as another name for the same program.
+
+``fit``, ``validate``, ``test`` and ``predict`` are Lightning's; every other command is one typed function, whose
+arguments become options. Nothing heavy is imported before the command is known.
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.metadata
+import os
+import sys
+from collections.abc import Callable, Sequence
+from contextlib import nullcontext
+from pathlib import Path
+
+from tsjepa.cli.errors import exit_status, explain
+from tsjepa.support.files import exclusive
+from tsjepa.support.recipes import parse_arguments
+from tsjepa.support.trust import TRUST, restrict_recipes
+
+LIGHTNING_COMMANDS = {
+    "fit": "train a model",
+    "validate": "evaluate a checkpoint on the validation data",
+    "test": "evaluate a checkpoint on the test data",
+    "predict": "run a checkpoint on the prediction data",
+}
+COMMANDS = {
+    "collect": ("tsjepa.data.collect:collect", "record a data set of frames and commands from the plant"),
+    "evaluate": ("tsjepa.evaluation.evaluate:evaluate", "close the loop on held-out starts and print the table"),
+    "simulate": ("tsjepa.evaluation.simulate:simulate", "run a fleet of plants that share a radio"),
+    "figures": ("tsjepa.paper.command:figures", "redraw the paper's figures, or run their sweeps"),
+    "report": ("tsjepa.paper.report:report", "compare every figure with what the paper claims"),
+    "export": ("tsjepa.zoo.export:export", "make a trained model an entry of the zoo"),
+    "deploy": ("tsjepa.zoo.deploy:deploy", "write a model as ONNX or torch.export graphs"),
+    "zoo": ("tsjepa.zoo.verify:zoo", "list the pretrained models, or verify them: tsjepa zoo verify"),
+    "doctor": ("tsjepa.cli.doctor:doctor", "tell what this machine offers and what to mend"),
+}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command.
+
+    What the user got wrong is answered in one sentence, without a traceback unless ``TSJEPA_TRACEBACK=1``; anything
+    unforeseen keeps its traceback.
+
+    Args:
+        arguments: The command and its options; those of the process when None.
+
+    Returns:
+        The exit status: 0; 2 when the command asks for what there is not or what cannot be; 1 when it failed on the way
+        for another reason that the user can mend; 130 after Ctrl-C.
+
+    Raises:
+        SystemExit: 2 when an option is wrong, 0 after the ``--help`` of a command.
+    """
+    program = "lightning" if Path(sys.argv[0]).name == "lightning" else "tsjepa"
+    command, *options = (sys.argv[1:] if arguments is None else list(arguments)) or [""]
+    trusted = TRUST in options
+    options = [option for option in options if option != TRUST]
+    try:
+        if not trusted and command in {**LIGHTNING_COMMANDS, **COMMANDS}:
+            restrict_recipes()
+        if command in ("-h", "--help"):
+            print(_help(program), flush=True)
+        elif command == "--version":
+            print(f"tsjepa {importlib.metadata.version('tsjepa')}")
+        elif command in LIGHTNING_COMMANDS:
+            from tsjepa.training.run import run_lightning
+
+            run_lightning(command, options, program, trusted)
+        elif command in COMMANDS:
+            run_command(command, options, program)
+        else:
+            given = f"there is no command '{command}'" if command else "a command is missing"
+            known = ", ".join([*LIGHTNING_COMMANDS, *COMMANDS])
+            print(f"{program}: {given}; choose from {known}.", file=sys.stderr)
+            return 2
+    except KeyboardInterrupt:
+        return 130
+    except BrokenPipeError:
+        # The reader of a pipe (`| head`) has gone; without this Python would complain again when it flushes at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+    except Exception as error:
+        sentence = explain(error)
+        if sentence is None or os.environ.get("TSJEPA_TRACEBACK") == "1":
+            raise
+        print(f"{program} {command}: {sentence}", file=sys.stderr)
+        return exit_status(error)
+    return 0
+
+
+# One program under two names.
+lightning_main = main
+
+
+def _help(program: str) -> str:
+    commands = {**LIGHTNING_COMMANDS, **{name: summary for name, (_, summary) in COMMANDS.items()}}
+    return "\n".join(
+        [
+            f"usage: {program} COMMAND [--config RECIPE.yaml] [options]",
+            "",
+            "commands:",
+            *(f"  {name:<10}{summary}" for name, summary in commands.items()),
+            "",
+            f"{program} COMMAND --help lists the options of a command. With {TRUST}, its recipe may name classes of",
+            "any package, and a checkpoint is unpickled: for files that you made yourself.",
+        ]
+    )
+
+
+def run_command(command: str, options: list[str], program: str = "tsjepa") -> None:
+    """Run one of :data:`COMMANDS` with ``options`` as they stand on a command line; its errors are not caught.
+
+    Words before the first option are arguments in the order of the function's parameters: ``tsjepa export RUN NAME``.
+    """
+    from tsjepa.support.allocator import keep_freed_memory
+
+    keep_freed_memory()
+    module, name = COMMANDS[command][0].split(":")
+    function: Callable = getattr(importlib.import_module(module), name)
+    values = parse_arguments(function, options, f"{program} {command}", COMMANDS[command][1])
+    with exclusive(values["output"]) if values.get("output") else nullcontext():
+        function(**values)

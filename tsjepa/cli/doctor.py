@@ -1,0 +1,170 @@
+"""``tsjepa doctor``: what this machine offers, whether it can render and train, and what to mend."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import os
+import platform
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+from packaging.requirements import Requirement
+
+from tsjepa.support.gl import missing_backend_message
+
+# Frames of the data sets, checkpoints and logs of `make train-jepa`.
+_NEEDED_DISK_GIB = 4
+_TRIAL = """
+import time
+import numpy as np
+from tsjepa.envs import Renderer
+
+rng = np.random.default_rng(0)
+qpos = rng.uniform(-0.8, 0.8, size=({frames} + 20, 2))
+renderer = Renderer()
+first = renderer.render(qpos[:20], None)
+start = time.perf_counter()
+renderer.render(qpos[20:], None)
+print("frames/s", {frames} / (time.perf_counter() - start) if first.std() > 0 else 0.0)
+"""
+
+
+def doctor(frames: int = 200) -> None:
+    """Print what was found, one line each, and what to mend, one sentence each.
+
+    Args:
+        frames: Number of frames to render when the speed of the camera is measured.
+
+    Raises:
+        ValueError: If ``frames`` is below 1.
+        SystemExit: 1 when something has to be mended before data can be collected and a model trained.
+    """
+    if frames < 1:
+        raise ValueError(f"frames is {frames}; at least 1 has to be rendered to measure the speed.")
+    to_mend = []
+    for check in (_machine, _packages, _devices, lambda: _rendering(frames), _commands, _disk):
+        lines, problems = check()
+        print(*(f"{name:<12}{value}" for name, value in lines), sep="\n", flush=True)
+        to_mend += problems
+    print()
+    if to_mend:
+        print(*(f"mend: {sentence}" for sentence in to_mend), sep="\n")
+        raise SystemExit(1)
+    print("All is well: this machine can collect data and train.")
+
+
+Report = tuple[list[tuple[str, str]], list[str]]
+
+
+def _machine() -> Report:
+    lines = [
+        ("python", f"{platform.python_version()} ({sys.executable})"),
+        ("system", f"{platform.system()} {platform.release()} {platform.machine()}"),
+        ("cpu", f"{_cpu_name()}, {_usable_cores()} usable cores{_cpu_number_formats()}"),
+    ]
+    return lines, []
+
+
+def _cpu_name() -> str:
+    if sys.platform == "darwin":
+        return subprocess.run(
+            ["sysctl", "-n", "machdep.cpu.brand_string"], capture_output=True, text=True
+        ).stdout.strip()
+    found = re.search(r"^model name\s*:\s*(.+)$", _cpuinfo(), re.MULTILINE)
+    return found.group(1) if found else platform.processor() or "unknown"
+
+
+def _usable_cores() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _cpu_number_formats() -> str:
+    flags = [name for name in ("avx2", "avx512f", "avx512_bf16", "amx_bf16") if re.search(rf"\b{name}\b", _cpuinfo())]
+    return f", {' '.join(flags)}" if flags else ""
+
+
+def _cpuinfo() -> str:
+    path = Path("/proc/cpuinfo")
+    return path.read_text() if path.exists() else ""
+
+
+def _packages() -> Report:
+    """Compare what is installed with the pins of this package's own metadata."""
+    try:
+        requirements = [Requirement(line) for line in importlib.metadata.requires("tsjepa") or []]
+    except importlib.metadata.PackageNotFoundError:
+        return [("tsjepa", "not installed")], [
+            "tsjepa itself is not installed: run `make setup`, or `pip install -e .`."
+        ]
+    lines, problems = [], []
+    for requirement in requirements:
+        if requirement.marker and not requirement.marker.evaluate({"extra": ""}):
+            continue
+        try:
+            version = importlib.metadata.version(requirement.name)
+        except importlib.metadata.PackageNotFoundError:
+            version = "none"
+        if version == "none" or not requirement.specifier.contains(version, prereleases=True):
+            problems.append(
+                f"{requirement.name} is {version} but has to be {requirement.specifier}: run `make setup`, or "
+                f"`pip install '{requirement.name}{requirement.specifier}'`."
+            )
+        lines.append((requirement.name, version))
+    shown = ", ".join(f"{name} {version}" for name, version in lines)
+    return [("packages", shown)], problems
+
+
+def _devices() -> Report:
+    try:
+        import torch
+    except (ImportError, OSError) as error:
+        return [("device", "none")], [f"torch cannot be imported ({error}): run `make setup`."]
+    if torch.cuda.is_available():
+        gpu = torch.cuda.get_device_properties(0)
+        return [("device", f"cuda: {gpu.name}, {gpu.total_memory / 2**30:.0f} GiB")], []
+    lines = [("device", f"cpu, {torch.get_num_threads()} threads")]
+    if shutil.which("nvidia-smi") and torch.version.cuda is None:
+        lines.append(("note", "this machine has an NVIDIA driver, but the torch installed here is a CPU build"))
+    return lines, []
+
+
+def _rendering(frames: int) -> Report:
+    """Render in a child process, so that a driver that crashes is reported like any other fault."""
+    backend = os.environ.get("MUJOCO_GL") or ("the system's own" if sys.platform != "linux" else "none")
+    try:
+        trial = subprocess.run(
+            [sys.executable, "-c", _TRIAL.format(frames=frames)], capture_output=True, text=True, timeout=300
+        )
+        output, fault = trial.stdout, (trial.stderr.strip().splitlines() or [f"exit status {trial.returncode}"])[-1]
+    except subprocess.TimeoutExpired:
+        output, fault = "", "the camera took more than five minutes"
+    speed = re.search(r"^frames/s (\S+)$", output, re.MULTILINE)
+    if speed is None:
+        without = backend == "none" or missing_backend_message() in fault
+        sentence = missing_backend_message() if without else f"Rendering failed: {fault}"
+        return [("rendering", f"{backend}: does not render")], [sentence]
+    if float(speed.group(1)) == 0:
+        return [("rendering", f"{backend}: empty frames")], [f"MUJOCO_GL={backend} renders empty frames: set another."]
+    return [("rendering", f"{backend}: {float(speed.group(1)):.0f} frames/s")], []
+
+
+def _commands() -> Report:
+    """`lightning-sdk` installs a command of the same name over ours."""
+    script = Path(sys.executable).parent / "lightning"
+    if script.exists() and "tsjepa" in script.read_text(errors="replace"):
+        return [("commands", "tsjepa, lightning")], []
+    return [
+        ("commands", "tsjepa"),
+        ("note", "`lightning` is not ours here: `make setup` brings ours back"),
+    ], []
+
+
+def _disk() -> Report:
+    free = shutil.disk_usage(Path.cwd()).free / 2**30
+    line = [("disk", f"{free:.0f} GiB free here")]
+    if free < _NEEDED_DISK_GIB:
+        return line, [f"Only {free:.1f} GiB are free here: make room for {_NEEDED_DISK_GIB} GiB of frames."]
+    return line, []

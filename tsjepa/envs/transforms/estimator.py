@@ -1,0 +1,119 @@
+"""The controller's belief between updates, and the actuator's command between commands."""
+
+from collections.abc import Callable
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor, nn
+from torchrl.data import Composite, TensorSpec
+
+from tsjepa.envs.transforms.base import (
+    SlotTransform,
+    Values,
+    active_rows,
+    flag_spec,
+    number_spec,
+    require_key,
+    select,
+)
+
+
+class Estimator(SlotTransform):
+    """Keeps ``belief``: the received value where one arrived, else the prediction from the last belief and command.
+
+    Reads ``received`` (or another key), ``delivered`` (every row, if nobody wrote it) and the ``action`` that the plant
+    was given, so behind a :class:`HoldCommand` the command that was really applied. Writes ``belief`` and ``informed``
+    (whether anything has arrived in this episode).
+
+    Args:
+        predict: (belief [*B, d], action [*B, 1]) -> belief one slot later; a module or any callable, run without
+            gradients. ``linear_model`` makes one.
+        in_key: what arrives.
+        blend: weight of a received value against the prediction; below 1 the two are mixed, except for the first value
+            of an episode, which is always taken as it is.
+        initial: belief before anything has arrived, a number or a tensor [d].
+    """
+
+    carried = ("belief", "informed")
+    previous_keys = ("action",)
+
+    def __init__(
+        self,
+        predict: nn.Module | Callable[[Tensor, Tensor], Tensor],
+        in_key: str = "received",
+        blend: float = 1.0,
+        initial: float | Tensor = 0.0,
+    ):
+        if not 0.0 < blend <= 1.0:
+            raise ValueError(f"blend {blend:g} must lie in (0, 1]")
+        super().__init__(in_keys=[in_key], out_keys=["belief", "informed"])
+        self.predict = predict
+        self.blend = blend
+        self.register_buffer("initial", torch.as_tensor(initial, dtype=torch.float32))
+
+    def _specs(self, incoming: Composite) -> dict[str, TensorSpec]:
+        spec = self._source(incoming)
+        return {"belief": number_spec(incoming, *spec.shape[incoming.ndim :]), "informed": flag_spec(incoming)}
+
+    def _begin(self, before: Values, current: TensorDictBase) -> Values:
+        shape = self._source(current).shape
+        return {
+            "belief": self.initial.to(current.device).expand(shape).clone(),
+            "informed": torch.zeros(current.batch_size, dtype=torch.bool, device=current.device),
+        }
+
+    def _source(self, container: Composite | TensorDictBase) -> TensorSpec | Tensor:
+        return require_key(container, self.in_keys[0], "Estimator", "an Uplink (or set in_key)")
+
+    @torch.no_grad()
+    def _slot(self, previous: Values, current: TensorDictBase, fresh: Tensor | None) -> Values:
+        received = self._source(current).to(torch.float32)
+        delivered = active_rows(current, "delivered", None)
+        belief = previous["belief"]
+        if fresh is None:
+            belief = self.predict(belief, previous["action"]).to(torch.float32)
+        weight = torch.where(previous["informed"], self.blend, 1.0)
+        mixed = belief + weight.unsqueeze(-1) * (received - belief) if self.blend < 1.0 else received
+        return {"belief": select(delivered, mixed, belief), "informed": previous["informed"] | delivered}
+
+
+def linear_model(a: Tensor, b: Tensor) -> Callable[[Tensor, Tensor], Tensor]:
+    """The prediction x' = A x + B u for rows of x [*B, n] and u [*B, m], with A [n, n] and B [n, m]."""
+
+    def predict(belief: Tensor, action: Tensor) -> Tensor:
+        return belief @ a.to(belief).mT + action @ b.to(belief).mT
+
+    return predict
+
+
+class HoldCommand(SlotTransform):
+    """The actuator repeats its last command while no update of its device arrives (the paper's baselines 4 and 5).
+
+    Replaces ``action`` on its way to the plant where ``delivered`` is False; the policy's own action stays in the
+    tensordict. Writes ``held_command``, the command that was applied in the slot before, 0 N at the start.
+
+    Put it last: what stands before it then sees the command that was applied.
+    """
+
+    carried = ("held_command",)
+    previous_keys = ("action",)
+
+    def __init__(self):
+        super().__init__(in_keys=[], out_keys=["held_command"])
+
+    def _specs(self, incoming: Composite) -> dict[str, TensorSpec]:
+        require_key(incoming, "delivered", "HoldCommand", "an Uplink")
+        return {"held_command": number_spec(incoming, *self.parent.action_spec.shape[incoming.ndim :])}
+
+    def _begin(self, before: Values, current: TensorDictBase) -> Values:
+        return {"held_command": torch.zeros(self.parent.action_spec.shape, device=current.device)}
+
+    def _slot(self, previous: Values, current: TensorDictBase, fresh: Tensor | None) -> Values:
+        require_key(current, "delivered", "HoldCommand", "an Uplink")
+        applied = previous["action"]
+        return {"held_command": previous["held_command"] if applied is None else applied.to(torch.float32)}
+
+    def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
+        command = tensordict["action"]
+        held = tensordict["held_command"].to(command)
+        return tensordict.set("action", select(tensordict["delivered"], command, held))

@@ -1,0 +1,124 @@
+"""Who transmits in this slot."""
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+from torchrl.data import Composite, TensorSpec
+
+from tsjepa.envs.transforms.base import SlotTransform, Values, flag_spec, number_spec, require_key
+from tsjepa.radio.link import db_to_linear, resource_units, units_per_slot
+from tsjepa.radio.schedulers import ChannelKnowledge, SchedulerFunction, get_scheduler
+from tsjepa.radio.simulation import check_csi
+
+
+class Scheduler(SlotTransform):
+    """Runs a scheduler over the devices, the last batch dimension, and writes ``scheduled``.
+
+    Either each device takes one of ``resource_blocks`` (the paper's J), or devices that send ``payload_bits`` take as
+    many resource units as their channel needs out of the ``units`` in a slot; then ``resource_units`` says how many
+    were granted. Devices that reset in the middle of a slot share what the others have left of it.
+
+    Reads ``snr``, ``mean_snr`` (and ``loss_probability``) where a :class:`Channel` wrote them, and the age of the slot
+    before where an :class:`Uplink` did; without them links are perfect and ages are 1.
+
+    Args:
+        scheduler: a name in ``SCHEDULERS``, or a function of that interface.
+        resource_blocks: J, devices per slot.
+        payload_bits: bits per update, instead of ``resource_blocks``.
+        units: resource units in a slot; None derives them from ``sampling_interval``.
+        sampling_interval: seconds per slot.
+        csi: "perfect", "delayed" (by ``csi_delay`` slots), or "statistical" (mean SNR, Rayleigh fading assumed).
+        csi_delay: slots by which delayed knowledge lags; before it arrives, the mean SNR stands in.
+        snr_threshold_db: decode threshold. With perfect CSI a device asks for units at its SNR (or at the threshold,
+            if that is higher); otherwise at the threshold, so that it arrives if and only if the threshold is met.
+    """
+
+    previous_keys = ("age_of_information",)
+
+    def __init__(
+        self,
+        scheduler: str | SchedulerFunction = "channel_aware",
+        resource_blocks: int | None = None,
+        payload_bits: int | None = None,
+        units: int | None = None,
+        sampling_interval: float = 0.02,
+        csi: str = "perfect",
+        csi_delay: int = 1,
+        snr_threshold_db: float = 5.0,
+    ):
+        if (resource_blocks is None) == (payload_bits is None):
+            raise ValueError("give either resource_blocks (devices per slot) or payload_bits (bits per update)")
+        check_csi(csi, csi_delay)
+        carried = ["scheduled", "scheduler_memory"]
+        if payload_bits is not None:
+            carried.append("resource_units")
+        if csi == "delayed":
+            carried.append("snr_history")
+        self.carried = tuple(carried)
+        super().__init__(in_keys=[], out_keys=carried)
+        self.decide = get_scheduler(scheduler)
+        self.payload_bits = payload_bits
+        self.budget = resource_blocks if payload_bits is None else (units or units_per_slot(sampling_interval))
+        self.csi = csi
+        self.csi_delay = csi_delay
+        self.snr_threshold = float(db_to_linear(snr_threshold_db))
+
+    def _specs(self, incoming: Composite) -> dict[str, TensorSpec]:
+        specs = {"scheduled": flag_spec(incoming), "scheduler_memory": number_spec(incoming, dtype=torch.float64)}
+        if self.payload_bits is not None:
+            specs["resource_units"] = number_spec(incoming, dtype=torch.int64)
+        if self.csi == "delayed":
+            specs["snr_history"] = number_spec(incoming, self.csi_delay)
+        return specs
+
+    def _begin(self, before: Values, current: TensorDictBase) -> Values:
+        shape, device = current.batch_size, current.device
+        # the memory belongs to the scheduler, not to the episode
+        memory = before.get("scheduler_memory", torch.zeros(shape, dtype=torch.float64, device=device))
+        start = {"scheduler_memory": memory, "scheduled": torch.zeros(shape, dtype=torch.bool, device=device)}
+        start["resource_units"] = torch.zeros(shape, dtype=torch.int64, device=device)
+        if self.csi == "delayed":
+            mean_snr = require_key(current, "mean_snr", "Scheduler with delayed CSI", "a Channel")
+            start["snr_history"] = mean_snr.unsqueeze(-1).repeat_interleave(self.csi_delay, -1)
+        return start
+
+    def _slot(self, previous: Values, current: TensorDictBase, fresh: Tensor | None) -> Values:
+        age = previous["age_of_information"]
+        if age is None:
+            age = torch.ones(current.batch_size, dtype=torch.int64, device=current.device)
+        channel = self._knowledge(previous, current)
+        demand = None if self.payload_bits is None else self._demand(channel, current)
+        budget = self.budget
+        if fresh is not None and not bool(fresh.all()):
+            channel = channel._replace(candidate=fresh)
+            taken = previous["scheduled"] if demand is None else previous["resource_units"]
+            budget = budget - taken.masked_fill(fresh, 0).sum(-1)
+        schedule, memory = self.decide(age, channel, demand, budget, previous["scheduler_memory"])
+        values = {"scheduled": schedule, "scheduler_memory": memory}
+        if demand is not None:
+            values["resource_units"] = demand.masked_fill(~schedule, 0)
+        if self.csi == "delayed":
+            history = previous["snr_history"]
+            values["snr_history"] = torch.cat((history[..., 1:], current["snr"].unsqueeze(-1)), -1)
+        return values
+
+    def _knowledge(self, previous: Values, current: TensorDictBase) -> ChannelKnowledge:
+        everyone = torch.ones(current.batch_size, dtype=torch.bool, device=current.device)
+        snr = {"perfect": current.get("snr", None), "statistical": current.get("mean_snr", None)}.get(self.csi)
+        if self.csi == "delayed":
+            snr = previous["snr_history"][..., 0]
+        if snr is None:
+            perfect = torch.ones(current.batch_size, dtype=torch.float64, device=current.device)
+            return ChannelKnowledge(perfect, perfect, everyone, everyone)
+        snr = snr.to(torch.float64)
+        above = snr >= self.snr_threshold
+        success = torch.exp(-self.snr_threshold / snr) if self.csi == "statistical" else above.to(torch.float64)
+        loss_probability = current.get("loss_probability", None)
+        if self.csi == "perfect" and loss_probability is not None:
+            success = success * (1.0 - loss_probability)
+        return ChannelKnowledge(snr, success, above, everyone)
+
+    def _demand(self, channel: ChannelKnowledge, current: TensorDictBase) -> Tensor:
+        require_key(current, "snr", "Scheduler with payload_bits", "a Channel")
+        known = channel.snr if self.csi == "perfect" else torch.zeros_like(channel.snr)
+        return resource_units(self.payload_bits, known.clamp(min=self.snr_threshold))

@@ -1,0 +1,214 @@
+"""The model zoo: folders of weights and configuration that load in one line and prove that they are whole.
+
+An entry is ``config.yaml`` (kind and sizes), ``model.safetensors`` (weights and statistics), ``metrics.json`` (figures
+and how they were measured), ``README.md`` (model card) and ``manifest.json`` (SHA-256 of the others, the card
+excepted). Nothing in it is ever unpickled.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+from dataclasses import asdict, fields
+from pathlib import Path
+
+import torch
+import yaml
+from safetensors import SafetensorError
+from safetensors.torch import load_file, save_file
+from torch import nn
+
+from tsjepa.models import Architecture, AutoencoderArchitecture, AutoencoderController, SemanticController, hub
+from tsjepa.support.files import exclusive, replace_folder
+
+# What config.yaml may name as its kind, and the class and sizes that rebuild it; without a kind it is the first.
+KINDS = {
+    "tsjepa": (SemanticController, Architecture),
+    "autoencoder": (AutoencoderController, AutoencoderArchitecture),
+}
+FILES = ("config.yaml", "model.safetensors", "metrics.json", "README.md", "manifest.json")
+CONFIG, WEIGHTS, METRICS, CARD, MANIFEST = FILES
+HASHED = (CONFIG, WEIGHTS, METRICS)
+# Beginnings of tensors that an entry may lack, all or none of them; what needs them says so when it is used.
+OPTIONAL = {"tsjepa": ("decoder.", "code_"), "autoencoder": ("code_",)}
+WEIGHT_DTYPES = {"float32": torch.float32, "float16": torch.float16}
+
+
+class DamagedEntryError(ValueError):
+    """A file of a zoo entry is missing or not what its manifest says."""
+
+
+def zoo_folder() -> Path:
+    """Where the shipped entries lie: inside an installed package, or at the top of a checkout."""
+    packaged = Path(__file__).parent.parent / "checkpoints"
+    return packaged if packaged.is_dir() else Path(__file__).parent.parent.parent / "checkpoints"
+
+
+def names() -> list[str]:
+    """Names of the shipped entries."""
+    return sorted(path.parent.name for path in zoo_folder().glob(f"*/{MANIFEST}"))
+
+
+def find(name_or_path: str | Path) -> Path:
+    """Folder of an entry, by name or by path.
+
+    Raises:
+        FileNotFoundError: there is neither such an entry nor such a folder.
+    """
+    for folder in (Path(name_or_path), zoo_folder() / str(name_or_path)):
+        if (folder / CONFIG).exists() or (folder / MANIFEST).exists():
+            return folder
+    raise FileNotFoundError(
+        f"There is no model {str(name_or_path)!r}: give the folder of an entry, or one of "
+        f"{', '.join(names()) or '(none)'}."
+    )
+
+
+def fingerprint(folder: str | Path) -> str:
+    """SHA-256 of an entry's manifest, which pins every file in it but the card."""
+    return hashlib.sha256((Path(folder) / MANIFEST).read_bytes()).hexdigest()
+
+
+def verify(folder: Path, sha256: str | None = None) -> None:
+    """Re-hashes an entry.
+
+    Args:
+        folder: of the entry.
+        sha256: what :func:`fingerprint` gave for the entry that is wanted; None trusts the manifest in the folder.
+
+    Raises:
+        DamagedEntryError: naming the first file that is missing or differs.
+    """
+    try:
+        manifest = json.loads((folder / MANIFEST).read_text())
+        expected = {name: manifest["sha256"][name] for name in HASHED}
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise DamagedEntryError(f"{folder / MANIFEST} is missing or unreadable; fetch the entry anew.") from error
+    if sha256 is not None and fingerprint(folder) != sha256.lower():
+        raise DamagedEntryError(
+            f"{folder / MANIFEST} has the SHA-256 {fingerprint(folder)}, not {sha256}: this is another entry, or "
+            "another version; give the SHA-256 of this one, or fetch the entry anew."
+        )
+    for name, digest in expected.items():
+        path = folder / name
+        if not path.is_file():
+            raise DamagedEntryError(f"{path} is missing; fetch the entry anew.")
+        if hashlib.sha256(path.read_bytes()).hexdigest() != digest:
+            raise DamagedEntryError(f"{path} is not the file that the manifest names; fetch the entry anew.")
+
+
+def load(name_or_path: str | Path, sha256: str | None = None) -> nn.Module:
+    """Loads a model, ready to use on the CPU and in evaluation mode.
+
+    Args:
+        name_or_path: name of a shipped entry, the folder of one, or ``hf://owner/name[@revision]``, which fetches it
+            from the Hugging Face Hub (see :mod:`tsjepa.models.hub`); nothing else is ever downloaded.
+        sha256: :func:`fingerprint` of the entry, to accept this one only.
+
+    Returns:
+        A controller of :data:`KINDS` with ``encode``, ``act``, ``predict`` and ``probe``, in float32. Its ``metrics``
+        and ``card`` are those of the entry, ``entry_sha256`` the entry's fingerprint.
+
+    Raises:
+        FileNotFoundError: no such entry.
+        DamagedEntryError: a file is missing or has changed.
+        ValueError: the entry is whole, but of a kind or with settings that this version does not know.
+    """
+    folder = hub.download(*hub.parse(name_or_path)) if hub.is_address(name_or_path) else find(name_or_path)
+    verify(folder, sha256)
+    config = yaml.safe_load((folder / CONFIG).read_text())
+    model = _rebuild(config, folder / CONFIG)
+    weights = load_file(folder / WEIGHTS)
+    lacking = tuple(part for part in OPTIONAL[_kind(model)] if not any(name.startswith(part) for name in weights))
+    absent = {name: value for name, value in model.state_dict().items() if name.startswith(lacking)}
+    try:
+        model.load_state_dict(absent | weights)  # copies into float32
+    except RuntimeError as error:
+        raise ValueError(f"The weights in {folder / WEIGHTS} are not those of the model in {CONFIG}.") from error
+    model.entry_sha256 = fingerprint(folder)
+    model.metrics = json.loads((folder / METRICS).read_text())
+    card = folder / CARD
+    model.card = card.read_text(encoding="utf-8", errors="replace") if card.is_file() else ""
+    return model.eval().requires_grad_(False)
+
+
+def _rebuild(config: dict, path: Path) -> nn.Module:
+    kind = config.pop("kind", next(iter(KINDS)))
+    if kind not in KINDS:
+        raise ValueError(f"{path} names the kind {kind!r}; this version knows {', '.join(KINDS)}.")
+    controller, architecture = KINDS[kind]
+    unknown = set(config) - {field.name for field in fields(architecture)}
+    if unknown:
+        raise ValueError(f"{path} has settings that this version does not know: {', '.join(sorted(unknown))}.")
+    return controller(architecture(**{n: tuple(v) if isinstance(v, list) else v for n, v in config.items()}))
+
+
+def _kind(model: nn.Module) -> str:
+    for kind, (controller, _) in KINDS.items():
+        if type(model) is controller:
+            return kind
+    known = ", ".join(controller.__name__ for controller, _ in KINDS.values())
+    raise TypeError(f"A {type(model).__name__} is no model of the zoo, which holds {known}.")
+
+
+def save(
+    model: nn.Module, folder: str | Path, metrics: dict | None = None, card: str = "", dtype: str = "float32"
+) -> Path:
+    """Writes an entry beside ``folder`` and renames it: a reader finds the old one or the new one, never half of one.
+
+    Args:
+        model: of a class in :data:`KINDS`; what :func:`load` will give back.
+        folder: replaced if it is there.
+        metrics: figures for ``metrics.json``.
+        card: text of the model card.
+        dtype: of the weights, "float32" or "float16". Statistics (all buffers) stay in 32 bits, and so does a weight
+            tensor with a value beyond the range of float16.
+
+    Raises:
+        ValueError: another dtype.
+        TypeError: a model of no kind that :func:`load` could rebuild.
+        FileExistsError: another process is writing the same entry.
+        OSError: no room, or no right to write; what was there stays.
+    """
+    if dtype not in WEIGHT_DTYPES:
+        raise ValueError(f"Weights are stored as {' or '.join(WEIGHT_DTYPES)}, not as {dtype!r}.")
+    kind = _kind(model)
+    folder = Path(folder)
+    with exclusive(folder):
+        partial = folder.with_name(folder.name + ".partial")
+        shutil.rmtree(partial, ignore_errors=True)
+        partial.mkdir(parents=True)
+        try:
+            _write(model, kind, partial, metrics or {}, card, WEIGHT_DTYPES[dtype])
+        except (OSError, SafetensorError) as error:
+            shutil.rmtree(partial, ignore_errors=True)
+            raise OSError(f"The model could not be written to {folder} ({error}); what was there is whole.") from error
+        replace_folder(partial, folder)
+    return folder
+
+
+def _write(model: nn.Module, kind: str, partial: Path, metrics: dict, card: str, dtype: torch.dtype) -> None:
+    sizes = {name: list(v) if isinstance(v, tuple) else v for name, v in asdict(model.architecture).items()}
+    (partial / CONFIG).write_text(yaml.safe_dump({"kind": kind} | sizes, sort_keys=False))
+    (partial / METRICS).write_text(json.dumps(metrics, indent=2) + "\n")
+    (partial / CARD).write_text(card, encoding="utf-8")
+    save_file(_stored(model, dtype), partial / WEIGHTS)
+    (partial / WEIGHTS).chmod(0o644)  # safetensors lets only the owner read
+    digests = {name: hashlib.sha256((partial / name).read_bytes()).hexdigest() for name in HASHED}
+    # no newline at its end: a manifest that is cut anywhere is no longer JSON
+    (partial / MANIFEST).write_text(json.dumps({"sha256": digests}, indent=2))
+
+
+def _stored(model: nn.Module, dtype: torch.dtype) -> dict[str, torch.Tensor]:
+    """The tensors as they go to disk."""
+    trained = {name for name, _ in model.named_parameters()}
+    stored = {}
+    for name, tensor in model.state_dict().items():
+        tensor = tensor.detach().cpu().contiguous()
+        if tensor.is_floating_point():
+            tensor = tensor.float()
+            narrow = tensor.to(dtype)
+            tensor = narrow if name in trained and narrow.isfinite().all() else tensor
+        stored[name] = tensor
+    return stored

@@ -1,0 +1,101 @@
+"""``tsjepa figures``: redraws the figures from recorded results, runs their sweeps where asked, or checks them."""
+
+from __future__ import annotations
+
+import inspect
+import os
+from pathlib import Path
+from types import ModuleType
+from typing import Literal
+
+import yaml
+
+from tsjepa.paper import FIGURES, module_of, store
+from tsjepa.paper.sweep import check as check_figure
+from tsjepa.paper.sweep import run_sweep
+from tsjepa.support.recipes import find_recipe
+
+RESULTS = "docs/results/figures"
+
+
+def figures(
+    figure: str | None = None,
+    settings: dict | None = None,
+    recompute: bool = False,
+    check: bool = False,
+    launcher: Literal["serial", "processes", "ray"] = "serial",
+    workers: int | None = None,
+    results: str = RESULTS,
+) -> None:
+    """Redraws figures from what is recorded; no sweep runs unless asked for.
+
+    Args:
+        figure: name of one, all of them by default.
+        settings: of its sweep; those of recipes/figures/FIGURE.yaml by default.
+        recompute: run the sweep: points that are recorded, with the same weights, are kept. Delete the figure's .json
+            file to run all of it anew.
+        check: run the quickest recorded point of each sweep again, and fail unless it lies in its recorded interval.
+        launcher: one point after the other, over processes, or over a Ray cluster (extra `ray`).
+        workers: processes at a time, by default one a core.
+        results: folder of the recorded results and the pictures; sweeps of two figures may fill it at once.
+    """
+    if settings is not None and figure is None:
+        raise ValueError("settings belong to one figure: name it, as in --figure bits.")
+    names = FIGURES if figure is None else (figure,)
+    if check:
+        return check_all(names, results, launcher)
+    for name in names:
+        module = module_of(name)
+        if recompute:
+            points = points_of(module, settings or recipe_settings(name))
+            run_sweep(module, points, results, launcher, workers or os.cpu_count())
+        redraw(module, results)
+
+
+def recipe_settings(figure: str) -> dict:
+    """The settings that the figure's recipe ships."""
+    return yaml.safe_load(Path(find_recipe(f"recipes/figures/{figure}.yaml")).read_text())["settings"]
+
+
+def points_of(module: ModuleType, settings: dict) -> list[dict]:
+    """The sweep of a figure.
+
+    Raises:
+        ValueError: the settings are not those that the figure takes.
+    """
+    taken = set(inspect.signature(module.points).parameters)
+    if set(settings) != taken:
+        raise ValueError(
+            f"The settings of {module.__name__.rpartition('.')[2]} are {', '.join(sorted(taken))}; "
+            f"given were {', '.join(sorted(settings)) or 'none'}."
+        )
+    return module.points(**settings)
+
+
+def redraw(module: ModuleType, folder: str | Path) -> None:
+    """Draws one figure from its recorded results; one sentence where there are none."""
+    name = module.__name__.rpartition(".")[2]
+    records = store.read(folder, name)
+    if not records:
+        print(f"{name}: nothing recorded yet; tsjepa figures --config recipes/figures/{name}.yaml --recompute true")
+        return
+    path = Path(folder) / f"{name}.png"
+    module.draw(records, path)
+    print(f"{name}: {path}, from {len(records)} recorded points.")
+
+
+def check_all(names: tuple[str, ...], folder: str, launcher: str) -> None:
+    """Prints recorded and repeated values; RuntimeError where one left its interval."""
+    strays = []
+    for name in names:
+        rows = check_figure(module_of(name), store.read(folder, name), launcher)
+        if not rows:
+            print(f"{name}: nothing recorded that could be repeated here.")
+        for row in rows:
+            print(
+                f"{name:<20}{row['measure']:<18}recorded {row['recorded']:>10.4g} ± {row['interval_95']:<9.3g} now "
+                f"{row['now']:>10.4g}  {'agrees' if row['agrees'] else 'DIFFERS'}"
+            )
+        strays += [f"{name} ({row['measure']} at {row['point']})" for row in rows if not row["agrees"]]
+    if strays:
+        raise RuntimeError(f"These points left their recorded interval: {'; '.join(strays)}.")

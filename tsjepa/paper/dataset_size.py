@@ -1,0 +1,90 @@
+"""Training data-set size, one device (paper fig_ts-jepa_pred_training_size)."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from pathlib import Path
+
+from tsjepa.evaluation.closed_loop import ONCE
+from tsjepa.paper import plots
+from tsjepa.paper.claims import Verdict, judge
+from tsjepa.paper.panels import draw_over
+from tsjepa.paper.store import flat
+from tsjepa.paper.training import trained_rows
+
+TITLE = "Training data-set size"
+CAPTION = (
+    "TS-JEPA and its actor trained by the shipped recipes with a fraction of their steps, the same for every point, on "
+    "the first 25, 50, 100 or all 180 training trajectories (the paper's 200 less 20 for early stopping); one training "
+    "seed, on a CPU."
+)
+MEASURES = ("score", "nmae")
+LOOPS = (1, 5, 10, ONCE)
+
+
+def points(train_episodes: list[int], training_seeds: list[int], budget: dict, sizes: dict) -> list[dict]:
+    """The sweep.
+
+    Args:
+        train_episodes: trajectories that TS-JEPA and its predictor are trained on.
+        training_seeds: of the weights and batches.
+        budget: see :func:`trained_rows`.
+        sizes: ``seeds``, ``starts``, ``slots``, ``process_noise_std``.
+    """
+    return [
+        {"train_episodes": episodes, "training_seed": seed} | budget | sizes
+        for episodes in train_episodes
+        for seed in training_seeds
+    ]
+
+
+def evaluate(point: dict) -> list[dict]:
+    """Trains, then closes the loop with an update in every slot, every 5, every 10, and once."""
+    return trained_rows(point, [{"update_every": period} for period in LOOPS])
+
+
+def draw(records: list[dict], path: str | Path) -> None:
+    """Command error, bits, score and the horizon of one update."""
+    draw_over(records, path, "train_episodes", "training trajectories")
+
+
+def verdicts(records: list[dict]) -> dict[str, Verdict]:
+    """Trends from the smallest to the largest data set."""
+    rows = flat(records)
+    sizes = sorted(plots.distinct(rows, "train_episodes"))
+    if len(sizes) < 2:
+        return {}
+
+    def means(period: int, measure: str) -> list[float]:
+        return [plots.mean(plots.select(rows, train_episodes=size, update_every=period), measure) for size in sizes]
+
+    def listed(values: list[float], digits: int) -> str:
+        return ", ".join(f"{value:.{digits}f} ({size})" for size, value in zip(sizes, values, strict=True))
+
+    errors, bits, scores = means(1, "nmae"), means(1, "bits_per_slot"), means(10, "score")
+    ranks = means(1, "effective_rank")
+    return {
+        "data_nmae": judge(
+            all(first > second for first, second in pairwise(errors)),
+            f"command NMAE by trajectories: {listed(errors, 4)}",
+            "not at every step, with one training seed",
+            partly=errors[-1] < errors[0],
+        ),
+        "data_bits": judge(
+            bits[-1] > bits[0],
+            f"bits per slot by trajectories: {listed(bits, 0)}",
+            "an embedding of d numbers has the same number of bits whatever it was trained on",
+        ),
+        "data_collapse": judge(
+            ranks[0] < 0.5 * ranks[-1],
+            f"effective rank of the embeddings by trajectories: {listed(ranks, 1)}",
+            "the variance and covariance terms of our loss, which the paper's lacks, keep it from collapsing",
+            partly=ranks[0] < 0.8 * ranks[-1],
+        ),
+        "data_score": judge(
+            all(first < second for first, second in pairwise(scores)),
+            f"normalised score with an update every 10 slots, by trajectories: {listed(scores, 3)}",
+            "not at every step, with one training seed",
+            partly=scores[-1] > scores[0],
+        ),
+    }

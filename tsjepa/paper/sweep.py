@@ -1,0 +1,123 @@
+"""A figure's sweep: what is missing is evaluated and recorded point by point, so that it can be interrupted."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from types import ModuleType
+
+from tqdm import tqdm
+
+from tsjepa.evaluation.metrics import interval
+from tsjepa.models import entries
+from tsjepa.paper import store
+from tsjepa.paper.launchers import launch
+from tsjepa.support.files import exclusive
+from tsjepa.support.provenance import provenance
+
+HASH_DIGITS = 12
+SLACK = 1e-3  # relative; what another processor's arithmetic may change where the interval is narrower
+
+
+def run_sweep(
+    module: ModuleType, points: list[dict], folder: str | Path, launcher: str = "serial", workers: int = 2
+) -> list[dict]:
+    """Evaluates the points that are not recorded yet, or were with other weights; returns all records.
+
+    The file follows the sweep: points that it no longer has are dropped. Points whose model the zoo lacks are left out
+    and named in one sentence.
+
+    Args:
+        module: of the figure.
+        points: of the sweep, in the order of the file.
+        folder: of the results.
+        launcher, workers: see :func:`tsjepa.paper.launchers.launch`.
+
+    Raises:
+        FileExistsError: another process runs the same sweep into the same folder.
+    """
+    with exclusive(Path(folder) / module.__name__.rpartition(".")[2]):
+        return _run(module, points, folder, launcher, workers)
+
+
+def _run(module: ModuleType, points: list[dict], folder: str | Path, launcher: str, workers: int) -> list[dict]:
+    figure = module.__name__.rpartition(".")[2]
+    recorded = {store.key(record["point"]): record for record in store.read(folder, figure)}
+    keys = [store.key(point) for point in points]
+    stale = len(set(recorded) - set(keys))
+    recorded = {key: recorded[key] for key in keys if key in recorded}
+    if stale:
+        print(f"{figure}: {stale} recorded points are not in this sweep and are dropped.")
+        store.write(folder, figure, list(recorded.values()))
+    missing = sorted({model for point in points for model in models_of(point) if weights_of(model) is None})
+    if missing:
+        print(f"{figure}: the zoo has no {', '.join(missing)} yet; the points that need it are left out.")
+    todo = [
+        point
+        for key, point in zip(keys, points, strict=True)
+        if not set(models_of(point)) & set(missing)
+        and (key not in recorded or recorded[key]["weights"] != all_weights(point))
+    ]
+    origin, weights = provenance(), [all_weights(point) for point in todo]
+    outcomes = launch(module.__name__, todo, launcher, workers)
+    for index, (rows, seconds) in tqdm(outcomes, desc=figure, total=len(todo), unit="point"):
+        recorded[store.key(todo[index])] = {
+            "point": todo[index],
+            "rows": store.rounded(rows),
+            "seconds": round(seconds, 1),
+            "weights": weights[index],
+            "made_by": origin,
+        }
+        store.write(folder, figure, [recorded[key] for key in keys if key in recorded])
+    return [recorded[key] for key in keys if key in recorded]
+
+
+def models_of(point: dict) -> list[str]:
+    """Entries of the zoo that a point uses: its ``model``, unless that is None (the expert on the true state)."""
+    return [point["model"]] if point.get("model") else []
+
+
+def weights_of(model: str) -> str | None:
+    """First digits of the hash of an entry's weights; None where there is no such entry."""
+    try:
+        manifest = json.loads((entries.find(model) / entries.MANIFEST).read_text())
+    except FileNotFoundError:
+        return None
+    return manifest["sha256"][entries.WEIGHTS][:HASH_DIGITS]
+
+
+def all_weights(point: dict) -> dict[str, str | None]:
+    """The weights that a point is evaluated with."""
+    return {model: weights_of(model) for model in models_of(point)}
+
+
+def check(module: ModuleType, records: list[dict], launcher: str = "serial") -> list[dict]:
+    """Evaluates the quickest recorded point again; one row per measure: recorded interval, value now, agreement."""
+    able = [record for record in records if None not in all_weights(record["point"]).values()]
+    if not able:
+        return []
+    record = min(able, key=lambda record: record["seconds"])
+    ((_, (rows, _)),) = launch(module.__name__, [record["point"]], launcher, 1)
+    answer = []
+    for measure in module.MEASURES:
+        before, now = values(record["rows"], measure), values(store.rounded(rows), measure)
+        if not before:
+            continue
+        mean, half = interval(before) if len(before) > 1 else (before[0], 0.0)
+        value = sum(now) / len(now)
+        answer.append(
+            {
+                "point": record["point"],
+                "measure": measure,
+                "recorded": mean,
+                "interval_95": half,
+                "now": value,
+                "agrees": abs(value - mean) <= max(half, SLACK * abs(mean)),
+            }
+        )
+    return answer
+
+
+def values(rows: list[dict], measure: str) -> list[float]:
+    """A measure of the rows that have it."""
+    return [row[measure] for row in rows if row.get(measure) is not None]

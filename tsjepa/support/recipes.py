@@ -1,0 +1,85 @@
+"""Recipes: where they are found, and how one becomes the arguments of a typed function."""
+
+from __future__ import annotations
+
+import inspect
+import itertools
+import re
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from tsjepa.support.trust import PACKAGES, TRUST
+
+PACKAGE = Path(__file__).parent.parent
+# Lines of jsonargparse's messages that name its types instead of the mistake.
+_NOISE = re.compile(
+    r"Does not validate against any of the Union|Subtypes: |Errors:$|Expected a <class 'NoneType'>"
+    r"|Given value type: |Given value: (NestedArg|Namespace)"
+)
+_DENIED = re.compile(r"Importing '([\w.]+)' is not allowed, denied by .*?set_parsing_settings to allow it\.?")
+
+
+def find_recipe(path: str) -> str:
+    """The file itself where the working directory has it, else the package's own (or the checkout's), else ``path``."""
+    homes = (Path(), PACKAGE, PACKAGE.parent)
+    return next((str(home / path) for home in homes if (home / path).is_file()), path)
+
+
+def find_recipes(options: Sequence[str]) -> list[str]:
+    """Applies :func:`find_recipe` to the words that name a recipe."""
+    return [find_recipe(option) if option.startswith("recipes/") else option for option in options]
+
+
+def one_sentence(message: str) -> str:
+    """Distils the many lines of a jsonargparse message into one."""
+    lines = [line.strip().removeprefix("- ").strip() for line in message.splitlines()]
+    text = "; ".join(line for line in lines if line and not _NOISE.match(line)).replace(":; ", ": ")
+    text = re.sub(r"<class '([\w.]+)'>", r"\1", text)
+    if denied := _DENIED.search(text):
+        return f"{denied[1]} is not of {', '.join(PACKAGES)}: add {TRUST} if you trust the file that names it"
+    return re.sub(r'Parser key "([\w.]+)"', r"option '\1'", text).rstrip(".")
+
+
+def error_method(program: str) -> Callable:
+    """Replaces ``ArgumentParser.error``, which prints a usage of hundreds of options before the message."""
+
+    def error(parser: object, message: str, cause: Exception | None = None) -> None:
+        print(f"{program}: {one_sentence(message)} (options: {program} --help)", file=sys.stderr)
+        raise SystemExit(2)
+
+    return error
+
+
+def parse_arguments(function: Callable, options: Sequence[str], program: str, description: str = "") -> dict[str, Any]:
+    """The arguments of a typed function from the words of a command line.
+
+    Words before the first option are arguments in the order of the function's parameters: ``tsjepa export RUN NAME``.
+
+    Args:
+        function: whose parameters become options.
+        options: words of the command line; ``--config RECIPE.yaml`` may be given several times, later ones win.
+        program: named in errors.
+        description: shown by ``--help``.
+
+    Raises:
+        SystemExit: 2 when an option is wrong, after one sentence; 0 after ``--help``.
+    """
+    from jsonargparse import ArgumentParser
+
+    class Parser(ArgumentParser):
+        error = error_method(program)
+
+    parser = Parser(prog=program, description=description)
+    parser.add_argument("-c", "--config", action="config", help="a YAML file with any of the options below")
+    parser.add_function_arguments(function)
+    values = parser.instantiate(parser.parse_args(_name_words(find_recipes(options), function)))
+    del values["config"]
+    return dict(values)
+
+
+def _name_words(options: list[str], function: Callable) -> list[str]:
+    words = itertools.takewhile(lambda option: not option.startswith("-"), options)
+    named = [f"--{name}={word}" for name, word in zip(inspect.signature(function).parameters, words, strict=False)]
+    return named + options[len(named) :]

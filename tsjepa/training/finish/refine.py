@@ -1,0 +1,123 @@
+"""Finishes the predictor on the frozen encoder's embeddings, where a step costs a hundredth of one through it."""
+
+from __future__ import annotations
+
+import lightning
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor, nn
+
+from tsjepa.data.module import Trajectories
+from tsjepa.data.storage import open_split
+from tsjepa.models.predictor import rollout
+from tsjepa.training.embeddings import embed_split
+from tsjepa.training.finish.minimize import FORWARD_DTYPE, minimize
+from tsjepa.training.losses import cosine_loss
+
+
+def refine_predictor(
+    predictor: nn.Module,
+    embedded: TensorDictBase,
+    steps: int,
+    horizon: int,
+    batch_size: int,
+    learning_rate: float,
+    seed: int,
+    start_share: float = 0.0,
+    starts: TensorDictBase | None = None,
+) -> None:
+    """Trains the predictor in place with the same cosine loss over auto-regressive roll-outs.
+
+    Args:
+        predictor: one step of embedding dynamics.
+        embedded: [episodes, slots] with ``embedding`` and ``action``.
+        steps: optimizer steps.
+        horizon: slots per roll-out.
+        batch_size: roll-outs per step.
+        learning_rate: peak of AdamW's warm-up and cosine decay.
+        seed: seed of the roll-outs' starts.
+        start_share: share of the roll-outs that begin where a trajectory begins; the others begin anywhere. A pair of
+            frames does not tell what force acted between them: at a start it was none, later it was the expert's, and
+            uniform roll-outs make the predictor take the expert's for granted.
+        starts: many short trajectories [episodes, slots], from anywhere in which that share is taken instead: a
+            predictor of 256 numbers learns the few starts of ``embedded`` by heart.
+    """
+    for part in (embedded, starts):
+        if part is not None and horizon >= part.shape[1]:
+            raise ValueError(
+                f"A horizon of {horizon} slots does not fit into trajectories of {part.shape[1]}; take a shorter one."
+            )
+    generator = torch.Generator().manual_seed(seed)
+
+    def loss() -> Tensor:
+        if starts is None:
+            embedding, action = draw(embedded, batch_size, horizon, generator, start_share)
+        else:
+            short = round(start_share * batch_size)
+            parts = (draw(embedded, batch_size - short, horizon, generator), draw(starts, short, horizon, generator))
+            embedding, action = (torch.cat(pair) for pair in zip(*parts, strict=True))
+        with torch.autocast(embedding.device.type, FORWARD_DTYPE):
+            predicted = rollout(predictor, embedding[:, 0], action)
+        return cosine_loss(predicted, embedding[:, 1:])
+
+    minimize(loss, predictor.parameters(), steps, learning_rate, 1e-4, "refine predictor")
+
+
+def draw(
+    embedded: TensorDictBase, count: int, horizon: int, generator: torch.Generator, start_share: float = 0.0
+) -> tuple[Tensor, Tensor]:
+    """Embeddings [count, horizon + 1, d] and commands [count, horizon, 1] of roll-outs that begin anywhere, or, as
+    many as ``start_share`` says, where a trajectory begins."""
+    embedding, action = embedded["embedding"], embedded["action"]
+    episodes, slots = embedded.batch_size
+    episode = torch.randint(episodes, (count, 1), generator=generator).to(embedding.device)
+    start = torch.randint(slots - horizon, (count, 1), generator=generator).to(embedding.device)
+    start = start * (torch.rand(count, 1, generator=generator) >= start_share).to(start)
+    rows = start + torch.arange(horizon + 1, device=embedding.device)
+    return embedding[episode, rows], action[episode, rows[:, :-1]]
+
+
+class RefinePredictor(lightning.Callback):
+    """Runs :func:`refine_predictor` when the fit ends, on the data module's training splits. List it before the export.
+
+    Args: as of :func:`refine_predictor`, with ``starts`` the folder of a data set, whose split "train" is taken, and
+        ``collect_starts`` the recipe that collects it when it does not exist.
+    """
+
+    def __init__(
+        self,
+        steps: int = 7000,
+        horizon: int = 10,
+        batch_size: int = 256,
+        learning_rate: float = 2e-3,
+        seed: int = 0,
+        start_share: float = 0.0,
+        starts: str | None = None,
+        collect_starts: str = "recipes/zoo/starts.yaml",
+    ) -> None:
+        self.steps, self.horizon, self.batch_size = steps, horizon, batch_size
+        self.learning_rate, self.seed, self.start_share = learning_rate, seed, start_share
+        self.starts, self.collect_starts = starts, collect_starts
+
+    def on_fit_start(self, trainer: lightning.Trainer, module: lightning.LightningModule) -> None:
+        if self.starts is not None and trainer.is_global_zero:  # now: what is wrong with it is told before the fit
+            Trajectories(path=self.starts, collect=self.collect_starts).prepare_data()
+            open_split(self.starts, "train")
+
+    def on_fit_end(self, trainer: lightning.Trainer, module: lightning.LightningModule) -> None:
+        if trainer.is_global_zero:
+            data = trainer.datamodule
+            spacing = data.frame_spacing
+            embedded = torch.cat([embed_split(module.encoder, data.split(name), spacing) for name in data.splits])
+            starts = self.starts and embed_split(module.encoder, open_split(self.starts, "train"), spacing)
+            refine_predictor(
+                module.predictor,
+                embedded,
+                self.steps,
+                self.horizon,
+                self.batch_size,
+                self.learning_rate,
+                self.seed,
+                self.start_share,
+                starts,
+            )

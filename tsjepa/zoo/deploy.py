@@ -1,0 +1,193 @@
+"""``tsjepa deploy``: a model as graphs that run without this package, on the device and at the controller."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import logging
+import shutil
+import warnings
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+import torch
+from torch import Tensor, nn
+from torch.export import Dim, ExportedProgram
+
+from tsjepa.envs.embedding_codec import embedding_codec
+from tsjepa.models import entries
+from tsjepa.radio.codecs import payload_bits
+from tsjepa.support.files import exclusive, replace_folder
+from tsjepa.support.provenance import provenance
+
+CODEC = "int8"
+DESCRIPTION = "deployment.json"
+SUFFIXES = {"onnx": "onnx", "torch_export": "pt2"}
+ROWS = 2  # of the examples; a single one torch.export would take for a constant
+
+
+class Device(nn.Module):
+    """What runs beside the camera: frames uint8 [N, frame_stack, H, W, 3] to payload uint8 [N, bytes]."""
+
+    def __init__(self, model: nn.Module, codec: nn.Module) -> None:
+        super().__init__()
+        self.model, self.codec = model, codec
+
+    def forward(self, frames: Tensor) -> Tensor:
+        return self.codec.encode(self.model.encode(frames))
+
+
+class Receive(nn.Module):
+    """A slot with an update: payload uint8 [N, bytes] to embedding [N, d] and command [N, 1] in newtons."""
+
+    def __init__(self, model: nn.Module, codec: nn.Module) -> None:
+        super().__init__()
+        self.model, self.codec = model, codec
+
+    def forward(self, payload: Tensor) -> tuple[Tensor, Tensor]:
+        embedding = self.codec.decode(payload)
+        return embedding, self.model.act(embedding)
+
+
+class Predict(nn.Module):
+    """A slot without one: embedding [N, d] and command [N, 1] of the slot before to those of this slot."""
+
+    def __init__(self, model: nn.Module) -> None:
+        super().__init__()
+        self.model = model
+
+    def forward(self, embedding: Tensor, command: Tensor) -> tuple[Tensor, Tensor]:
+        embedding = self.model.predict(embedding, command)
+        return embedding, self.model.act(embedding)
+
+
+class Graph(NamedTuple):
+    """A module to export, examples of its inputs, and the names of its outputs."""
+
+    module: nn.Module
+    inputs: dict[str, Tensor]
+    outputs: tuple[str, ...]
+
+
+def graphs(model: nn.Module) -> dict[str, Graph]:
+    """What a deployment consists of: ``device``, ``receive`` and, where the model has a predictor, ``predict``.
+
+    Raises:
+        ValueError: the model came without the ranges of its integer codec.
+    """
+    codec = embedding_codec(CODEC, model)
+    frames = torch.zeros((ROWS, *model.encoder.frame_shape), dtype=torch.uint8)
+    embedding, command = torch.zeros(ROWS, model.architecture.embedding_dim), torch.zeros(ROWS, 1)
+    outputs = ("next_embedding", "next_command")
+    made = {
+        "device": Graph(Device(model, codec), {"frames": frames}, ("payload",)),
+        "receive": Graph(Receive(model, codec), {"payload": codec.encode(embedding)}, ("embedding", "command")),
+        "predict": Graph(Predict(model), {"embedding": embedding, "command": command}, outputs),
+    }
+    return made if model.architecture.has_predictor else {name: made[name] for name in ("device", "receive")}
+
+
+def traced(graph: Graph) -> ExportedProgram:
+    """The graph for any number of rows, with the weights that it uses and no others."""
+    rows = Dim("rows")
+    program = torch.export.export(
+        graph.module.eval(), tuple(graph.inputs.values()), dynamic_shapes=tuple({0: rows} for _ in graph.inputs)
+    )
+    nodes = {node.name: node for node in program.graph.nodes}
+    inputs = program.graph_signature.input_specs
+    for spec in [spec for spec in inputs if spec.target is not None and not nodes[spec.arg.name].users]:
+        inputs.remove(spec)
+        program.graph.erase_node(nodes[spec.arg.name])
+        program.state_dict.pop(spec.target, None)
+        program.constants.pop(spec.target, None)
+    for node in program.graph.nodes:
+        node.meta.pop("stack_trace", None)  # it names files of this machine
+    program.graph_module.recompile()
+    return program
+
+
+def save_onnx(graph: Graph, path: Path) -> None:
+    """Writes the graph for ONNX Runtime and its like."""
+    logging.getLogger("torch.onnx").setLevel(logging.ERROR)  # warns that there is no torchvision
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", FutureWarning)  # between torch and its own pytree
+        program = torch.onnx.export(
+            traced(graph), input_names=list(graph.inputs), output_names=list(graph.outputs), verbose=False
+        )
+    program.save(path)
+
+
+def save_program(graph: Graph, path: Path) -> None:
+    """Writes the graph for ``torch.export.load``."""
+    torch.export.save(traced(graph), path)
+
+
+def deploy(model: str, folder: str, format: Literal["onnx", "torch_export"] = "onnx") -> None:
+    """Writes ``model`` to ``folder`` as graphs, with int8 embeddings between device and controller.
+
+    ``device`` turns frames into a payload, ``receive`` a payload into an embedding and a command, and ``predict`` the
+    embedding and the command of one slot into those of the next. Each takes any number of rows; ``deployment.json``
+    says what else a user has to know.
+
+    Args:
+        model: name or folder of a zoo entry.
+        folder: made, or replaced where it holds an earlier deployment.
+        format: onnx, or programs of torch.export.
+
+    Raises:
+        FileExistsError: ``folder`` holds something else.
+        ModuleNotFoundError: a package that writes ONNX is not installed.
+        ValueError: the model came without the ranges of its integer codec.
+    """
+    target = Path(folder).absolute()
+    if target.exists() and not (target / DESCRIPTION).is_file():
+        raise FileExistsError(f"{folder} is there and is no deployment: choose a folder that may be replaced.")
+    lacking = [name for name in ("onnx", "onnxscript") if format == "onnx" and importlib.util.find_spec(name) is None]
+    if lacking:
+        raise ModuleNotFoundError(f"The format onnx needs the package {lacking[0]}: pip install 'tsjepa[onnx]'.")
+    # torch.export.save knows no other format
+    controller = entries.load(model).to(memory_format=torch.contiguous_format)
+    parts = graphs(controller)
+    partial = target.with_name(target.name + ".partial")
+    with exclusive(target):
+        shutil.rmtree(partial, ignore_errors=True)
+        partial.mkdir(parents=True)
+        for name, graph in parts.items():
+            save = save_onnx if format == "onnx" else save_program
+            save(graph, partial / f"{name}.{SUFFIXES[format]}")
+        (partial / DESCRIPTION).write_text(json.dumps(description(model, controller, parts), indent=2) + "\n")
+        replace_folder(partial, target)
+    print(f"{model} deployed to {folder}: {', '.join(sorted(path.name for path in target.iterdir()))}.")
+
+
+def description(name: str, model: nn.Module, parts: dict[str, Graph]) -> dict:
+    """What a user of the graphs has to know: shapes, payload, and which frames make a stack."""
+    architecture = model.architecture
+    return {
+        "made_by": provenance(),
+        "model": name,
+        "codec": CODEC,
+        "payload_bits": int(payload_bits(parts["receive"].inputs["payload"])[0]),
+        "frame_stack": architecture.frame_stack,
+        "frame_spacing_slots": architecture.frame_spacing,
+        "slot_seconds": architecture.sampling_interval,
+        "graphs": {
+            part: {
+                "inputs": {name: _signature(tensor) for name, tensor in graph.inputs.items()},
+                "outputs": {
+                    name: _signature(tensor) for name, tensor in zip(graph.outputs, _outputs(graph), strict=True)
+                },
+            }
+            for part, graph in parts.items()
+        },
+    }
+
+
+def _outputs(graph: Graph) -> tuple[Tensor, ...]:
+    with torch.no_grad():
+        made = graph.module(*graph.inputs.values())
+    return made if isinstance(made, tuple) else (made,)
+
+
+def _signature(tensor: Tensor) -> str:
+    return f"{str(tensor.dtype).removeprefix('torch.')} [rows, {', '.join(map(str, tensor.shape[1:]))}]"

@@ -1,0 +1,92 @@
+"""``tsjepa export RUN NAME``: a trained model, with its evaluation and its history, becomes an entry of the zoo."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from dataclasses import asdict
+from pathlib import Path
+
+from torch import nn
+
+from tsjepa.models import entries
+from tsjepa.zoo.card import card
+from tsjepa.zoo.training_history import data_sets, training_history
+from tsjepa.zoo.verify import rescore
+
+
+def export(
+    run: str,
+    name: str,
+    evaluation: str | None = None,
+    folder: str = "checkpoints",
+    half: bool = False,
+    trained_with: str = "",
+) -> None:
+    """Writes ``folder/name``: the weights of a run, how they score, how they were trained, and a model card.
+
+    Args:
+        run: folder of a fit, such as runs/actor, or of a model.
+        name: of the entry.
+        evaluation: what ``tsjepa evaluate`` wrote about this very model; by default evaluation/evaluation.json in the
+            folder of the run, which is made where it is missing or about other weights (some minutes).
+        folder: of the zoo.
+        half: store weights in 16 bits, if the scores stay within their intervals.
+        trained_with: words about the training for the card and metrics.json.
+    """
+    if name in ("", "..") or Path(name).name != name:
+        raise ValueError(f"{name!r} is no name of an entry: leave out folders, which --folder gives.")
+    source = model_folder(run)
+    model = entries.load(source)
+    history = training_history(source)
+    metrics = evaluation_of(model, source, evaluation, history)
+    metrics |= {"training": history, "data_sets": data_sets(history), "trained_with": trained_with}
+    metrics["weights"] = {
+        "dtype": "float16" if half else "float32",
+        "parameters": sum(parameter.numel() for parameter in model.parameters()),
+    }
+    if half:
+        metrics["weights"]["scored_again"] = checked_in_half(model, name, metrics)
+    entry = entries.save(model, Path(folder) / name, metrics, card(name, model, metrics), metrics["weights"]["dtype"])
+    print(f"{name} written to {entry}.")
+
+
+def model_folder(run: str) -> Path:
+    """Folder of the model that a fit has left, or ``run`` itself where that is a model."""
+    inside = Path(run) / "model"
+    return inside if (inside / entries.MANIFEST).is_file() else entries.find(run)
+
+
+def evaluation_of(model: nn.Module, source: Path, evaluation: str | None, history: list[dict]) -> dict:
+    """The figures of ``model``, measured now unless they are there."""
+    path = Path(evaluation) if evaluation else source.parent / "evaluation" / "evaluation.json"
+    figures = json.loads(path.read_text()) if path.is_file() else {}
+    if figures.get("model_sha256") == model.entry_sha256:
+        return figures
+    if evaluation and not figures:
+        raise FileNotFoundError(f"There is no evaluation {path}: leave --evaluation out, and it is made.")
+    if evaluation:
+        raise ValueError(
+            f"{path} is not about the weights in {source}: leave --evaluation out, and they are evaluated."
+        )
+    from tsjepa.evaluation.evaluate import evaluate
+
+    data = [described["path"] for described in data_sets(history)]
+    print(
+        f"{source} is evaluated first{'' if data else ', in closed loop only: its data set is not here'}.", flush=True
+    )
+    return evaluate(str(source), output=str(path.parent), data=data[-1] if data else None)
+
+
+def checked_in_half(model: nn.Module, name: str, metrics: dict) -> list[dict]:
+    """Scores the weights as 16 bits hold them.
+
+    Raises:
+        ValueError: a score leaves the interval of its evaluation.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        rounded = entries.load(entries.save(model, Path(folder) / name, metrics, dtype="float16"))
+    checks = rescore(rounded, name)
+    if not all(check.passed for check in checks):
+        raise ValueError(f"16 bits are too few for {name} ({'; '.join(map(str, checks))}): leave --half out.")
+    return [asdict(check) for check in checks]
