@@ -14,6 +14,7 @@ from tsjepa.data.storage import METADATA, open_split, read_metadata
 from tsjepa.data.windows import WindowDataset, WindowSampler
 from tsjepa.support.checks import at_least
 from tsjepa.support.recipes import find_recipe, parse_arguments
+from tsjepa.support.seeds import run_seed
 
 
 def as_is(batch):
@@ -34,7 +35,6 @@ class Trajectories(lightning.LightningDataModule):
         steps: slots between the stacks of a window, drawn per batch.
         episodes: use only the first so many trajectories of every split; None for all.
         splits: of the data set that are trained on.
-        seed: seed of the windows' own stream.
         start_share: share of the windows that begin where a trajectory begins (see
             :func:`~tsjepa.training.finish.refine.refine_predictor` for why).
     """
@@ -50,7 +50,6 @@ class Trajectories(lightning.LightningDataModule):
         steps: Sequence[int] = (1, 1, 2, 4),
         episodes: int | None = None,
         splits: Sequence[str] = ("train",),
-        seed: int = 0,
         start_share: float = 0.0,
     ) -> None:
         super().__init__()
@@ -66,7 +65,7 @@ class Trajectories(lightning.LightningDataModule):
             raise ValueError(f"frames_per_batch = {frames_per_batch} is not a multiple of stacks = {stacks}.")
         self.path, self.recipe = Path(path), collect
         self.frame_stack, self.frame_spacing, self.stacks = frame_stack, frame_spacing, stacks
-        self.frames_per_batch, self.steps, self.episodes, self.seed = frames_per_batch, steps, episodes, seed
+        self.frames_per_batch, self.steps, self.episodes = frames_per_batch, steps, episodes
         self.splits, self.start_share = tuple(splits), start_share
 
     @property
@@ -91,34 +90,36 @@ class Trajectories(lightning.LightningDataModule):
                 check_split(self.split(name), name)
 
     def split(self, name: str) -> TensorDictBase:
-        """One split, memory-mapped; [episodes, T + 1]."""
-        return open_split(self.path, name)
+        """The first ``episodes`` of one split, memory-mapped; [episodes, T + 1]. All that is fitted comes from here."""
+        return open_split(self.path, name)[: self.episodes]
 
     def train_dataloader(self) -> DataLoader:
-        splits = [self.split(name)[: self.episodes] for name in self.splits]
-        episodes, frames = sum(map(len, splits)), splits[0].shape[1]
+        splits = [self.split(name) for name in self.splits]
         rank, world_size = (self.trainer.global_rank, self.trainer.world_size) if self.trainer else (0, 1)
-        windows = self.frames_per_batch // self.stacks
         sampler = WindowSampler(
-            episodes,
-            frames,
-            self.first_slot,
-            self.stacks,
-            windows,
-            self.steps,
-            self.seed,
-            rank,
-            world_size,
-            self.start_share,
+            sum(map(len, splits)),
+            splits[0].shape[1],
+            first=self.first_slot,
+            stacks=self.stacks,
+            windows_per_batch=self.frames_per_batch // self.stacks,
+            steps=self.steps,
+            seed=run_seed(),
+            rank=rank,
+            world_size=world_size,
+            start_share=self.start_share,
         )
         dataset = WindowDataset(splits, self.stacks, self.frame_stack, self.frame_spacing)
         return DataLoader(dataset, sampler=sampler, batch_size=None, collate_fn=as_is)
 
     def val_dataloader(self) -> DataLoader:
-        """One batch: the whole validation split, as it lies on disk."""
+        """One batch: the validation split, as it lies on disk."""
         return DataLoader([self.split("validation")], batch_size=None, collate_fn=as_is)
 
     def test_dataloader(self) -> DataLoader:
         return DataLoader([self.split("test")], batch_size=None, collate_fn=as_is)
 
     predict_dataloader = test_dataloader
+
+    def transfer_batch_to_device(self, batch: TensorDictBase, device, dataloader_idx: int) -> TensorDictBase:
+        """A whole split stays memory-mapped; :func:`tsjepa.training.embeddings.embed_split` moves what it reads."""
+        return batch if "pixels" in batch.keys() else batch.to(device)  # noqa: SIM118 - a TensorDict refuses `in`

@@ -12,6 +12,8 @@ from torch import Tensor
 
 from tsjepa.models import SemanticController, entries
 from tsjepa.models.actor import COMMAND_LIMIT
+from tsjepa.support.parallel import rank_and_world_size
+from tsjepa.support.seeds import derive, run_seed
 from tsjepa.training.schedule import warmup_cosine_schedule
 
 
@@ -19,7 +21,7 @@ from tsjepa.training.schedule import warmup_cosine_schedule
 def imitation_pairs(model: SemanticController, data: TensorDictBase, horizons: Sequence[int]) -> TensorDict:
     """Embeddings with true state and expert's command, received (horizon 0) and predicted that many slots ahead.
 
-    Without the predicted ones the actor meets them first in the loop (paper-notes, decision 3b).
+    An actor that is not trained on predicted ones meets them first in the loop.
 
     Args:
         model: source of the predictor.
@@ -56,7 +58,6 @@ class SemanticActor(lightning.LightningModule):
         dropout: of the actor.
         learning_rate: peak; warm-up and cosine decay as in TS-JEPA.
         weight_decay: of AdamW.
-        seed: seed of the dropout's stream.
     """
 
     def __init__(
@@ -66,10 +67,9 @@ class SemanticActor(lightning.LightningModule):
         dropout: float = 0.2,
         learning_rate: float = 6e-3,
         weight_decay: float = 1e-4,
-        seed: int = 0,
     ) -> None:
         super().__init__()
-        self.learning_rate, self.weight_decay, self.seed = learning_rate, weight_decay, seed
+        self.learning_rate, self.weight_decay = learning_rate, weight_decay
         frozen = entries.load(pretrained)
         self.model = SemanticController(replace(frozen.architecture, actor_hidden_dims=tuple(hidden_dims)), dropout)
         self.model.encoder.load_state_dict(frozen.encoder.state_dict())
@@ -87,9 +87,12 @@ class SemanticActor(lightning.LightningModule):
         return self.model
 
     def training_step(self, batch: TensorDictBase, batch_index: int) -> Tensor:
-        # dropout draws from the global stream: seeding it by step makes a resumed run repeat the interrupted one
-        torch.manual_seed(self.seed * 1_000_003 + self.global_step)
-        command = self.model.actor.unclipped(batch["embedding"])
+        devices = [self.device] if self.device.type == "cuda" else []
+        # torch's dropout knows only the global stream; seeded by step, a resumed run repeats the interrupted one.
+        # Commands are wanted finer than bfloat16 has them, and the actor is small: float32 whatever the trainer does.
+        with torch.random.fork_rng(devices), torch.autocast(self.device.type, enabled=False):
+            torch.manual_seed(derive(run_seed(), "dropout", self.global_step, rank_and_world_size()[0]))
+            command = self.model.actor.unclipped(batch["embedding"])
         imitation = ((command - batch["expert_action"]) / COMMAND_LIMIT).square().mean()
         self.log("imitation_loss", imitation, prog_bar=True)
         return imitation

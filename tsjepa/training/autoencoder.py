@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 
 import lightning
@@ -14,10 +15,13 @@ from tsjepa.models import Encoder
 from tsjepa.models.autoencoder import AutoencoderArchitecture, AutoencoderController
 from tsjepa.models.decoder import Decoder
 from tsjepa.models.encoder import patchify
+from tsjepa.support.seeds import derive, run_seed
 from tsjepa.training.embeddings import embed_split
+from tsjepa.training.finish.callback import Finish
 from tsjepa.training.finish.decoder import look_around, reconstruction_loss
-from tsjepa.training.finish.minimize import FORWARD_DTYPE, minimize
+from tsjepa.training.finish.minimize import ForwardContext, minimize
 from tsjepa.training.schedule import warmup_cosine_schedule
+from tsjepa.training.statistics import mean_and_std
 
 
 class Autoencoder(lightning.LightningModule):
@@ -138,6 +142,7 @@ def fit_estimator(
     learning_rate: float = 3e-3,
     weight_decay: float = 1e-2,
     seed: int = 0,
+    forward_context: ForwardContext = nullcontext,
 ) -> None:
     """Trains the state estimator in place, each component of the state over its standard deviation.
 
@@ -149,15 +154,17 @@ def fit_estimator(
         state: [N, 4].
         steps, batch_size, learning_rate, weight_decay: of AdamW with warm-up and cosine decay.
         seed: seed of the batches.
+        forward_context: the precision of decoder and estimator.
     """
     estimator, device = model.estimator, embedding.device
-    estimator.state_mean.copy_(state.mean(0))
-    estimator.state_std.copy_(state.std(0))
+    mean, std = mean_and_std(state)
+    estimator.state_mean.copy_(mean)
+    estimator.state_std.copy_(std)
     generator = torch.Generator().manual_seed(seed)
 
     def loss() -> Tensor:
         rows = torch.randint(len(embedding), (batch_size,), generator=generator).to(device)
-        with torch.autocast(device.type, FORWARD_DTYPE):
+        with forward_context():
             with torch.no_grad():
                 drawn = model.decoder.draw(embedding[rows])
             estimated = estimator(drawn)
@@ -169,7 +176,7 @@ def fit_estimator(
     estimator.eval()
 
 
-class FitEstimator(lightning.Callback):
+class FitEstimator(Finish):
     """Runs :func:`fit_estimator` when the fit ends. List it before the export.
 
     Args:
@@ -189,14 +196,18 @@ class FitEstimator(lightning.Callback):
         self.steps, self.batch_size, self.splits = steps, batch_size, tuple(splits)
         self.learning_rate, self.weight_decay = learning_rate, weight_decay
 
-    def on_fit_end(self, trainer: lightning.Trainer, module: Autoencoder) -> None:
-        if not trainer.is_global_zero:
-            return
+    def finish(self, trainer: lightning.Trainer, module: Autoencoder) -> None:
         model, data = module.controller(), trainer.datamodule
-        # Lightning has already moved everything back to the CPU
-        model.to(trainer.strategy.root_device)
         splits = [embed_split(model.encoder, data.split(name), data.frame_spacing) for name in self.splits]
         rows = torch.cat([split.flatten(0, 1) for split in splits])
-        options = (self.steps, self.batch_size, self.learning_rate, self.weight_decay)
-        fit_estimator(model, rows["embedding"], rows["state"], *options)
-        model.cpu()
+        fit_estimator(
+            model,
+            rows["embedding"],
+            rows["state"],
+            self.steps,
+            self.batch_size,
+            self.learning_rate,
+            self.weight_decay,
+            derive(run_seed(), "estimator"),
+            trainer.precision_plugin.forward_context,
+        )

@@ -13,10 +13,12 @@ from tsjepa.data.augmentation import Augmentation
 from tsjepa.models import Architecture, Encoder, Predictor, SemanticController
 from tsjepa.support.checks import within
 from tsjepa.support.parallel import gather
+from tsjepa.support.seeds import derive, run_seed
 from tsjepa.training.embeddings import embed_split
 from tsjepa.training.losses import InverseDynamics, cosine_loss, covariance_loss, variance_loss
 from tsjepa.training.pretrained import start_from
 from tsjepa.training.schedule import warmup_cosine_schedule
+from tsjepa.training.statistics import mean_and_std
 
 
 class TSJEPA(lightning.LightningModule):
@@ -37,7 +39,6 @@ class TSJEPA(lightning.LightningModule):
         covariance_weight: weight of the covariance term (0 in the paper).
         inverse_weight: weight of the inverse-dynamics term (0 in the paper).
         pretrained: zoo entry (name or folder) to start from, as far as sizes agree.
-        seed: seed of the augmentation's own stream.
     """
 
     def __init__(
@@ -52,7 +53,6 @@ class TSJEPA(lightning.LightningModule):
         covariance_weight: float = 0.01,
         inverse_weight: float = 1.0,
         pretrained: str | None = None,
-        seed: int = 0,
     ) -> None:
         super().__init__()
         within(0, 1, ema_decay=ema_decay)
@@ -66,15 +66,34 @@ class TSJEPA(lightning.LightningModule):
         self.encoder, self.predictor, self.augmentation = encoder, predictor, augmentation
         self.target_encoder = AveragedModel(encoder, multi_avg_fn=get_ema_multi_avg_fn(ema_decay), use_buffers=True)
         self.target_encoder.requires_grad_(False)
-        self.inverse_dynamics = InverseDynamics(encoder.embedding_dim)
+        # only where the loss has it: data parallelism waits for the gradient of every parameter
+        self.inverse_dynamics = InverseDynamics(encoder.embedding_dim) if inverse_weight else None
         self.optimizer, self.scheduler = optimizer, scheduler
         self.variance_weight, self.covariance_weight = variance_weight, covariance_weight
-        self.inverse_weight, self.seed = inverse_weight, seed
+        self.inverse_weight = inverse_weight
 
     def train(self, mode: bool = True) -> TSJEPA:
         super().train(mode)
         self.target_encoder.eval()
         return self
+
+    def setup(self, stage: str) -> None:
+        data = self.trainer.datamodule
+        architecture = Architecture(
+            frame_stack=self.encoder.frame_shape[0],
+            frame_spacing=data.frame_spacing,
+            widths=self.encoder.widths,
+            embedding_dim=self.encoder.embedding_dim,
+            predictor_hidden_dim=self.predictor.hidden.out_features,
+            predictor_residual=self.predictor.residual,
+            sampling_interval=data.metadata["sampling_interval"],
+        )
+        with torch.random.fork_rng([]):
+            torch.manual_seed(derive(run_seed(), "controller"))
+            controller = SemanticController(architecture)
+        controller.encoder, controller.predictor = self.encoder, self.predictor
+        # in a tuple, so that its other parts are no parameters of this module: neither optimized nor in checkpoints
+        self.untrained = (controller,)
 
     def on_fit_start(self) -> None:
         data = self.trainer.datamodule
@@ -83,14 +102,14 @@ class TSJEPA(lightning.LightningModule):
                 f"The data's windows have {data.stacks} stacks of {data.frame_stack} frames; TS-JEPA needs at least 2 "
                 f"stacks, and its encoder takes {self.encoder.frame_shape[0]} frames."
             )
-        commands = data.split("train")["action"][:, :-1]
-        self.predictor.command_mean.copy_(commands.mean())
-        self.predictor.command_std.copy_(commands.std())
+        mean, std = mean_and_std(data.split("train")["action"][:, :-1].flatten())
+        self.predictor.command_mean.copy_(mean)
+        self.predictor.command_std.copy_(std)
 
     def training_step(self, batch: TensorDictBase, batch_index: int) -> Tensor:
         commands = batch["commands"]
         windows, stacks = batch["patches"].shape[:2]
-        generator = torch.Generator().manual_seed(self.seed * 1_000_003 + self.global_step)
+        generator = torch.Generator().manual_seed(derive(run_seed(), "augmentation", self.global_step))
         patches = self.augmentation(batch["patches"].flatten(0, 1), generator, shared=stacks)
         embedding = self.encoder.embed(patches).unflatten(0, (windows, stacks))
         with torch.no_grad():
@@ -146,22 +165,8 @@ class TSJEPA(lightning.LightningModule):
         self.target_encoder.update_parameters(self.encoder)
 
     def controller(self) -> SemanticController:
-        """Encoder and predictor as a controller whose actor and probe are yet to be trained."""
-        data = self.trainer.datamodule
-        model = SemanticController(
-            Architecture(
-                frame_stack=self.encoder.frame_shape[0],
-                frame_spacing=data.frame_spacing,
-                widths=self.encoder.widths,
-                embedding_dim=self.encoder.embedding_dim,
-                predictor_hidden_dim=self.predictor.hidden.out_features,
-                predictor_residual=self.predictor.residual,
-                sampling_interval=data.metadata["sampling_interval"],
-            )
-        )
-        model.encoder.load_state_dict(self.encoder.state_dict())
-        model.predictor.load_state_dict(self.predictor.state_dict())
-        return model
+        """Encoder and predictor as a controller; actor, probe and decoder are yet to be trained."""
+        return self.untrained[0]
 
     def validation_step(self, batch: TensorDictBase, batch_index: int) -> None:
         """Nothing: metrics are the callback's (:class:`tsjepa.training.monitor.RepresentationMonitor`)."""

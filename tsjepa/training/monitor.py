@@ -55,7 +55,13 @@ def prediction_skill(
 
 
 def linear_probe_rmse(embedding: Tensor, state: Tensor, ridge: float = 1e-3) -> Tensor:
-    """RMSE [4] of ridge regression from embedding to state, fitted on even trajectories and measured on odd ones."""
+    """RMSE [4] of ridge regression from embedding to state, fitted on even trajectories and measured on odd ones.
+
+    A single trajectory is cut in the middle: fitted on its first half, measured on its second.
+    """
+    if len(embedding) == 1:
+        half = embedding.shape[1] // 2
+        embedding, state = (torch.stack((part[0, :half], part[0, -half:])) for part in (embedding, state))
 
     def features(part: Tensor) -> Tensor:
         flat = part.flatten(0, 1) * part.shape[-1] ** 0.5
@@ -113,7 +119,7 @@ class RepresentationMonitor(lightning.Callback):
             self.check(metrics)
 
     def log_metrics(self, stage: str, trainer, module, split: TensorDictBase) -> dict[str, float]:
-        """Logs all measures of a split, and their ``skill``: what early stopping looks at, the mean over horizons."""
+        """Logs all measures of a split, and their ``skill``, the mean over horizons."""
         metrics = representation_metrics(module.encoder, module.predictor, split, trainer.datamodule.frame_spacing)
         skills = [value for name, value in metrics.items() if name.startswith("skill_")]
         metrics["skill"] = sum(skills) / len(skills)

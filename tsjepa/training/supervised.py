@@ -12,6 +12,7 @@ from torch import Tensor
 from tsjepa.data.augmentation import Augmentation
 from tsjepa.models import Actor, Architecture, Encoder, SemanticController
 from tsjepa.models.actor import COMMAND_LIMIT
+from tsjepa.support.seeds import derive, run_seed
 from tsjepa.training.embeddings import embed_split
 from tsjepa.training.pretrained import start_from
 from tsjepa.training.schedule import warmup_cosine_schedule
@@ -27,7 +28,6 @@ class Supervised(lightning.LightningModule):
         learning_rate: peak of AdamW; warm-up and cosine decay as in TS-JEPA.
         weight_decay: of AdamW.
         pretrained: zoo entry (name or folder) whose encoder to start from, as far as sizes agree.
-        seed: seed of the augmentation's own stream.
     """
 
     def __init__(
@@ -38,7 +38,6 @@ class Supervised(lightning.LightningModule):
         learning_rate: float = 1e-3,
         weight_decay: float = 1e-2,
         pretrained: str | None = None,
-        seed: int = 0,
     ) -> None:
         super().__init__()
         if pretrained is not None:
@@ -53,7 +52,7 @@ class Supervised(lightning.LightningModule):
             )
         )
         self.model.encoder, self.model.actor, self.augmentation = encoder, actor, augmentation
-        self.learning_rate, self.weight_decay, self.seed = learning_rate, weight_decay, seed
+        self.learning_rate, self.weight_decay = learning_rate, weight_decay
 
     def setup(self, stage: str) -> None:
         data = self.trainer.datamodule
@@ -64,7 +63,7 @@ class Supervised(lightning.LightningModule):
         )
 
     def training_step(self, batch: TensorDictBase, batch_index: int) -> Tensor:
-        generator = torch.Generator().manual_seed(self.seed * 1_000_003 + self.global_step)
+        generator = torch.Generator().manual_seed(derive(run_seed(), "augmentation", self.global_step))
         embedding = self.model.encoder.embed(self.augmentation(batch["patches"].flatten(0, 1), generator))
         error = self.model.actor.unclipped(embedding) - batch["expert_action"].flatten(0, 1)
         loss = (error / COMMAND_LIMIT).square().mean()
