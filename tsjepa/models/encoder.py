@@ -87,6 +87,7 @@ class Encoder(nn.Module):
                 f"{list(widths)} and {height} x {width}."
             )
         self.frame_shape = (frame_stack, height, width, 3)
+        self.frame_stack, self.height, self.width = frame_stack, height, width
         self.embedding_dim, self.widths = embedding_dim, tuple(widths)
         first, second, third = widths
         self.stem = nn.Sequential(

@@ -1,1 +1,10 @@
-"""Physical systems: dynamics, pictures, scores and experts; neither TorchRL nor Lightning is imported here."""
+"""Physical systems: dynamics, pictures, scores and experts. Neither TorchRL nor Lightning is imported here.
+
+MuJoCo and dm_control are imported when a plant is made: models and data sets load where they are not installed.
+"""
+
+from tsjepa.plants.cartpole import CartPole
+from tsjepa.plants.plant import Plant
+from tsjepa.support.spec import PlantSpec
+
+__all__ = ["CartPole", "Plant", "PlantSpec"]

@@ -1,15 +1,64 @@
-"""Which part of the picture cart and pole cover, so that only that part is rendered."""
+"""Where a camera stands, and which part of its picture the moving parts cover, so that only that part is rendered."""
 
 from __future__ import annotations
 
 import dataclasses
 import itertools
+import math
+from typing import TYPE_CHECKING
 
-import mujoco
 import numpy as np
+
+if TYPE_CHECKING:
+    import mujoco
 
 MARGIN = 1  # pixels of the finished frame around the moving parts
 CORNERS = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
+
+
+@dataclasses.dataclass(frozen=True)
+class View:
+    """A camera and how it samples.
+
+    Args:
+        position: in metres.
+        fovy: vertical field of view, degrees.
+        yaw: degrees to the left of looking along +y.
+        pitch: degrees down from the horizontal; 90 looks straight down.
+        roll: degrees that the picture is turned, seen clockwise.
+        samples: multi-samples of a pixel.
+        supersampling: factor by which a larger picture is rendered and averaged down.
+    """
+
+    position: tuple[float, float, float]
+    fovy: float
+    yaw: float = 0.0
+    pitch: float = 0.0
+    roll: float = 0.0
+    samples: int = 4
+    supersampling: int = 2
+
+    def quaternion(self) -> np.ndarray:
+        """The camera's orientation [4], scalar first."""
+        pose = _turn((1.0, 0.0, 0.0), math.pi / 2 - math.radians(self.pitch))
+        if self.yaw:
+            pose = _multiply(_turn((0.0, 0.0, 1.0), math.radians(self.yaw)), pose)
+        return _multiply(pose, _turn((0.0, 0.0, 1.0), math.radians(self.roll)))
+
+
+def _turn(axis: tuple[float, float, float], angle: float) -> np.ndarray:
+    return np.concatenate([[math.cos(angle / 2)], math.sin(angle / 2) * np.array(axis)])
+
+
+def _multiply(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return np.array(
+        [
+            a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
+            a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
+            a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1],
+            a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0],
+        ]
+    )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -53,30 +102,27 @@ class Lens:
         camera.frustum_top = (bottom + height - self.height / 2) * pixel
 
 
-def half_extents(model: mujoco.MjModel, geom: int) -> np.ndarray:
-    """Half the edges [3] in metres of the box that holds a box or a capsule, in the geom's own axes."""
-    size = model.geom_size[geom].copy()
-    if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_CAPSULE:
-        radius, half_length = size[:2]
-        return np.array((radius, radius, half_length + radius))
-    return size
-
-
-def rectangles(lens: Lens, position: np.ndarray, axes: np.ndarray, extents: np.ndarray) -> np.ndarray:
+def rectangles(
+    lens: Lens, position: np.ndarray, axes: np.ndarray, centres: np.ndarray, extents: np.ndarray
+) -> np.ndarray:
     """The smallest rectangle of whole pixels, with a margin, around the moving parts of each frame.
 
     Args:
         lens: of the camera.
-        position: [N, parts, 3] centres in metres.
+        position: [N, parts, 3] origins in metres.
         axes: [N, parts, 3, 3], the parts' own axes as columns.
-        extents: [parts, 3] half edges in metres.
+        centres, extents: [parts, 3] centre and half edges, in metres and own axes, of the box that holds each part.
 
     Returns:
         int64 [N, 4]: left, bottom, width, height in pixels of the frame; width or height is 0 where nothing is visible.
     """
-    corners = position[:, :, None] + np.einsum("npij,pkj->npki", axes, CORNERS * extents[:, None])
-    pixels = lens.project(corners.reshape(len(corners), -1, 3))
-    limit = np.array((lens.width, lens.height))
+    corners = centres[:, None] + CORNERS * extents[:, None]
+    corners = position[:, :, None] + np.einsum("npij,pkj->npki", axes, corners)
+    corners = corners.reshape(len(corners), -1, 3)
+    pixels, limit = lens.project(corners), np.array((lens.width, lens.height))
     low = np.clip(np.floor(pixels.min(1)) - MARGIN, 0, limit)
     high = np.clip(np.ceil(pixels.max(1)) + MARGIN, 0, limit)
+    # what reaches behind the near plane has no bounds in the picture
+    behind = ((corners - lens.position) @ lens.axes[2] < lens.near).any(1)
+    low[behind], high[behind] = 0, limit
     return np.concatenate((low, high - low), axis=1).astype(np.int64)
