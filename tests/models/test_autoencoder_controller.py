@@ -55,7 +55,7 @@ def test_the_command_is_the_law_applied_to_the_state_read_from_the_reconstructio
 
 
 def test_it_says_that_it_predicts_nothing(model, embedding):
-    assert not model.architecture.has_predictor
+    assert not model.has_predictor
     with pytest.raises(ValueError, match="no predictor"):
         model.predict(embedding, torch.zeros(2, 3, 1))
 

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from tsjepa.evaluation.metrics import Run
 
 ONCE = 0  # as an update period: one update at the first slot, none after it
 
@@ -38,16 +37,11 @@ class Starts:
     def fleet(self):
         """A fleet that begins at these starts, failures included to the last slot."""
         from tsjepa.envs import FleetEnv
+        from tsjepa.plants import CartPole
 
-        return FleetEnv(
-            self.count,
-            sampling_interval=self.sampling_interval,
-            process_noise_std=self.process_noise_std,
-            episode_length=self.slots,
-            frame_history=self.frame_history,
-            seed=1_000_000 + self.seed,
-            terminate_on_failure=False,
-        )
+        plant = CartPole(self.sampling_interval, self.process_noise_std)
+        seed = 1_000_000 + self.seed
+        return FleetEnv(plant, self.count, self.slots, self.frame_history, seed, terminate_on_failure=False)
 
 
 def is_update(slot: int, period: int) -> bool:
@@ -56,11 +50,9 @@ def is_update(slot: int, period: int) -> bool:
 
 
 @torch.no_grad()
-def run(starts: Starts, policy: Policy) -> Run:
+def run(starts: Starts, policy: Policy) -> tuple[Tensor, Tensor]:
     """Drives the plants of ``starts`` with ``policy(slot, observation) -> action [N, 1]``."""
-    from tsjepa.plants.expert import Expert
-
-    fleet, expert = starts.fleet(), Expert(starts.sampling_interval)
+    fleet = starts.fleet()
     observation = fleet.reset()
     states, actions = [observation["state"]], []
     for slot in range(starts.slots):
@@ -69,7 +61,7 @@ def run(starts: Starts, policy: Policy) -> Run:
         states.append(observation["state"])
         actions.append(action)
     state = torch.stack(states)
-    return Run(state, torch.stack(actions), expert(state[:-1]))
+    return state, torch.stack(actions)
 
 
 def true_state_policy(law: Callable[[Tensor], Tensor], period: int, between: str = "hold") -> Policy:
@@ -82,27 +74,6 @@ def true_state_policy(law: Callable[[Tensor], Tensor], period: int, between: str
             command = law(observation["state"])
             return command
         return command if between == "hold" else torch.zeros_like(command)
-
-    return policy
-
-
-def planned_policy(law: Callable[[Tensor], Tensor], sampling_interval: float, slots: int) -> Policy:
-    """The law's commands for all ``slots``, planned at slot 0 on the plant without noise and then applied blindly.
-
-    So much is to be had from a perfect model that hears the true state once.
-    """
-    from tsjepa.plants.dynamics import Dynamics
-
-    plan: list[Tensor] = []
-
-    def policy(slot: int, observation) -> Tensor:
-        if slot == 0:
-            dynamics, state = Dynamics(sampling_interval), observation["state"]
-            for _ in range(slots):
-                plan.append(law(state))
-                after = dynamics.advance(state.double().numpy(), plan[-1][:, 0].double().numpy())
-                state = torch.from_numpy(after).to(state.dtype)
-        return plan[slot]
 
     return policy
 
@@ -132,7 +103,7 @@ class SemanticPolicy:
         self.belief = None
 
     def __call__(self, slot: int, observation) -> Tensor:
-        predicts = self.model.architecture.has_predictor
+        predicts = self.model.has_predictor
         predicted = self.model.predict(self.belief, self.command) if predicts and slot > 0 else None
         if is_update(slot, self.period):
             received = self.model.encode(self.frames(observation))
@@ -149,7 +120,5 @@ class SemanticPolicy:
 
     def frames(self, observation) -> Tensor:
         """Stacks [N, frame_stack, H, W, 3] of the observed devices; they may remember more than a stack spans."""
-        qpos = observation["qpos"][:, -self.model.frame_history :: self.model.architecture.frame_spacing]
-        colors = observation["colors"].repeat_interleave(qpos.shape[1], 0)
-        frames = self.render(qpos.flatten(0, 1).double().numpy(), colors.numpy())
-        return torch.from_numpy(frames).unflatten(0, qpos.shape[:2])
+        scene = observation["scene"][:, -self.model.frame_history :: self.model.frame_spacing]
+        return torch.from_numpy(self.render(scene.flatten(0, 1).numpy())).unflatten(0, scene.shape[:2])

@@ -125,7 +125,7 @@ def build_fleet(
     if model is None:
         chain += [Codec(codec, in_key="state"), uplink]
     else:
-        camera = Camera(fleet.renderer.render, model.architecture.frame_stack, model.architecture.frame_spacing)
+        camera = Camera(fleet.renderer.render, model.frame_stack, model.frame_spacing)
         if radio.codec in FRAME_CODECS:
             remote = Encode(model.encode, in_key="received", mask_key="delivered")
             chain += [camera, Codec(codec, in_key="pixels"), uplink, remote]
@@ -144,7 +144,7 @@ def _controller(controller: str | SemanticController, plants: Plants, in_key: st
         linear = linear_model(*linearised_plant(plants.sampling_interval))
         # the belief about a device that is never served grows without bound; it must stay a number
         estimator, law = Estimator(lambda state, force: linear(state, force).clamp(-1e3, 1e3)), expert
-    elif isinstance(controller, SemanticController) and not controller.architecture.has_predictor:
+    elif isinstance(controller, SemanticController) and not controller.has_predictor:
         return HoldCommand(), lambda tensordict: controller.act(tensordict[in_key])
     elif isinstance(controller, SemanticController):
         estimator, law = Estimator(controller.predict, in_key), controller.act

@@ -21,7 +21,7 @@ def open_loop_metrics(model: nn.Module, data: str, split: str = "test") -> dict:
 
     What is said about predictions is left out of a controller that makes none.
     """
-    embedded = embed_split(model.encoder, open_split(data, split), model.architecture.frame_spacing)
+    embedded = embed_split(model.encoder, open_split(data, split), model.frame_spacing)
     embedding, rows = embedded["embedding"], embedded.flatten(0, 1)
     # in parts: an autoencoder draws the frames of every row
     parts = rows["embedding"].split(500)
@@ -31,7 +31,7 @@ def open_loop_metrics(model: nn.Module, data: str, split: str = "test") -> dict:
         "probe_rmse": (state - rows["state"]).square().mean(0).sqrt().tolist(),
         "effective_rank": float(effective_rank(rows["embedding"])),
     }
-    if not model.architecture.has_predictor:
+    if not model.has_predictor:
         return figures
     skill = prediction_skill(model.predictor, embedding, embedded["action"], SKILL_HORIZONS)
     predicted, copied = probed_prediction_error(model, embedded, LONGEST_HORIZON)

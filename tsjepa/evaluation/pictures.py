@@ -87,7 +87,7 @@ def look_inside(model: nn.Module, renderer, starts: Starts, film: Path, strip: P
     """
     import cv2
 
-    predicts = model.architecture.has_predictor
+    predicts = model.has_predictor
     ahead = round(AHEAD / starts.sampling_interval) if predicts else 0
     policy = SemanticPolicy(model, renderer.render, FILM_PERIOD)
     beliefs, states = [], []

@@ -113,9 +113,9 @@ def load_controller(name: str, plants: Plants):
     import tsjepa
 
     model = tsjepa.load(name)
-    if model.architecture.sampling_interval != plants.sampling_interval:
+    if model.spec.slot != plants.sampling_interval:
         raise ValueError(
-            f"The model {name!r} was trained at {model.architecture.sampling_interval} s per slot, plants."
+            f"The model {name!r} was trained at {model.spec.slot} s per slot, plants."
             f"sampling_interval is {plants.sampling_interval}: make them equal."
         )
     if model.frame_history > plants.frame_history:

@@ -178,7 +178,7 @@ def optimal_scores(plants: Plants, seeds: int, count: int) -> torch.Tensor:
 def codec_of(point: dict, model):
     """The codec of an update, with the quality that the point asks for."""
     if point["codec"] in FRAME_CODECS:
-        stack = model.architecture.frame_stack
+        stack = model.frame_stack
         return make_codec(point["codec"], quality=point.get("quality") or 50, frame_stack=stack)
     return fitted_codec(point["codec"], model)
 

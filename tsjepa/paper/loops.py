@@ -71,7 +71,7 @@ def command_rows(point: dict) -> list[dict]:
 def starts_of(point: dict, seed: int) -> Starts:
     """The starts of one seed of a point; every controller with the same frame history has the same ones."""
     model = None if point["model"] is None else load(point["model"])
-    interval = SAMPLING_INTERVAL if model is None else model.architecture.sampling_interval
+    interval = SAMPLING_INTERVAL if model is None else model.spec.slot
     history = FRAME_HISTORY if model is None else max(FRAME_HISTORY, model.frame_history)
     return Starts(seed, point["starts"], point["slots"], history, interval, point["process_noise_std"])
 
@@ -154,7 +154,7 @@ class Camera:
             slot: of the loop.
             observation: of the plants in this slot.
         """
-        spacing, kappa = model.architecture.frame_spacing, model.architecture.frame_stack
+        spacing, kappa = model.frame_spacing, model.frame_stack
         slots = [slot - spacing * back for back in reversed(range(kappa))]
         missing = [wanted for wanted in slots if wanted not in self.frames]
         if missing:

@@ -28,12 +28,12 @@ def make_sender(model: nn.Module, sends: str, codec: str, quality: int | None):
     """
     if sends == "embedding":
         return EmbeddingSender(model, fitted_codec(codec, model))
-    stack = model.architecture.frame_stack
+    stack = model.frame_stack
     if sends == "stack":
         return StackSender(model, make_codec(codec, quality=quality or 50, frame_stack=stack))
     if sends not in SENDS:
         raise ValueError(f"A device cannot send {sends!r}; choose from {', '.join(SENDS)}.")
-    if model.architecture.frame_spacing != 1:
+    if model.frame_spacing != 1:
         raise ValueError("A stream of frames needs a model whose stack holds neighbouring frames (frame_spacing 1).")
     if sends == "video":
         return StreamSender(model, H264(quality))

@@ -76,7 +76,7 @@ def trajectories(model, point: dict, seed: int) -> tuple[Tensor, Tensor, Tensor]
     """Embeddings [N, d], states [N, 4] and trajectory numbers [N] along loops that the expert closes."""
     from tsjepa.plants.expert import Expert
 
-    interval = model.architecture.sampling_interval
+    interval = model.spec.slot
     camera, expert, seen = Camera(), Expert(interval), []
 
     def driver(slot: int, observation) -> Tensor:
@@ -97,7 +97,7 @@ def two_colours(model, pairs: int, seed: int) -> tuple[Tensor, Tensor]:
     generator = torch.Generator().manual_seed(STREAM + seed)
     qpos = (2 * torch.rand(pairs, 2, generator=generator) - 1) * torch.tensor([0.8, 0.3])
     colours = 0.25 + 0.75 * torch.rand(2, pairs, 2, 3, generator=generator)
-    renderer, stack = Renderer(), model.architecture.frame_stack
+    renderer, stack = Renderer(), model.frame_stack
     embedded = []
     for colour in colours:
         frames = torch.from_numpy(renderer.render(qpos.double().numpy(), colour.numpy()))

@@ -18,6 +18,7 @@ import torch
 from torch import Tensor, nn
 
 Packets = Tensor | Sequence[bytes]
+FRAME_CODECS = ("raw", "png", "jpeg", "webp")
 
 
 def payload_bits(packets: Packets) -> Tensor:

@@ -68,7 +68,7 @@ class ImitationPairs(Trajectories):
     def setup(self, stage: str | None = None) -> None:
         super().setup(stage)
         model = self.trainer.lightning_module.model
-        spacing = model.architecture.frame_spacing
+        spacing = model.frame_spacing
         train = torch.cat([embed_split(model.encoder, self.split(name), spacing) for name in self.splits])
         self.pairs = imitation_pairs(model, train, self.horizons)
         state = train["state"].flatten(0, 1)

@@ -51,7 +51,7 @@ def kind_of(model: nn.Module) -> str:
 
     if not isinstance(model, SemanticController):
         return "autoencoder"
-    return "tsjepa" if model.architecture.has_predictor else "supervised"
+    return "tsjepa" if model.has_predictor else "supervised"
 
 
 def card(name: str, model: nn.Module, metrics: dict) -> str:

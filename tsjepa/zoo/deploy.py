@@ -77,14 +77,14 @@ def graphs(model: nn.Module) -> dict[str, Graph]:
     """
     codec = embedding_codec(CODEC, model)
     frames = torch.zeros((ROWS, *model.encoder.frame_shape), dtype=torch.uint8)
-    embedding, command = torch.zeros(ROWS, model.architecture.embedding_dim), torch.zeros(ROWS, 1)
+    embedding, command = torch.zeros(ROWS, model.embedding_dim), torch.zeros(ROWS, 1)
     outputs = ("next_embedding", "next_command")
     made = {
         "device": Graph(Device(model, codec), {"frames": frames}, ("payload",)),
         "receive": Graph(Receive(model, codec), {"payload": codec.encode(embedding)}, ("embedding", "command")),
         "predict": Graph(Predict(model), {"embedding": embedding, "command": command}, outputs),
     }
-    return made if model.architecture.has_predictor else {name: made[name] for name in ("device", "receive")}
+    return made if model.has_predictor else {name: made[name] for name in ("device", "receive")}
 
 
 def traced(graph: Graph) -> ExportedProgram:

@@ -138,7 +138,7 @@ def rescore(model: nn.Module, name: str) -> list[Check]:
     from tsjepa.evaluation.metrics import normalized_score
     from tsjepa.plants.expert import Expert, reference_lqr
 
-    figures, interval_s = model.metrics, model.architecture.sampling_interval
+    figures, interval_s = model.metrics, model.spec.slot
     rows = {period: row for period, row in own_rows(figures).items() if period in VERIFIED_PERIODS}
     needed = (
         "seeds",

@@ -27,10 +27,10 @@ class FitCodec(lightning.Callback):
         if not trainer.is_global_zero:
             return
         model, data = module.controller(), trainer.datamodule
-        spacing = model.architecture.frame_spacing
+        spacing = model.frame_spacing
         parts = [
             embed_split(model.encoder, data.split(name), spacing)["embedding"].flatten(0, 1) for name in self.splits
         ]
-        codec = AffineCodec(model.architecture.embedding_dim).fit(torch.cat(parts))
+        codec = AffineCodec(model.embedding_dim).fit(torch.cat(parts))
         model.code_low.copy_(codec.low)
         model.code_high.copy_(codec.high)

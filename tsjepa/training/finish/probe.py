@@ -61,7 +61,7 @@ class FitProbe(lightning.Callback):
         if not trainer.is_global_zero:
             return
         model, data = module.controller(), trainer.datamodule
-        spacing = model.architecture.frame_spacing
+        spacing = model.frame_spacing
         parts = [embed_split(model.encoder, data.split(name), spacing).flatten(0, 1) for name in self.splits]
         rows = torch.cat(parts)
         fit_probe(model.probe, rows["embedding"], rows["state"], self.steps)
