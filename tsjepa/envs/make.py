@@ -16,7 +16,7 @@ from torch import Tensor, nn
 from torchrl.envs import Compose, TransformedEnv
 
 from tsjepa.envs.fleet import FleetEnv
-from tsjepa.envs.payload import update_bits, update_codec
+from tsjepa.envs.payload import sends_frames, update_bits, update_codec
 from tsjepa.envs.settings import Radio
 from tsjepa.envs.transforms import (
     Camera,
@@ -31,7 +31,6 @@ from tsjepa.envs.transforms import (
 )
 from tsjepa.models import Controller
 from tsjepa.plants.plant import Plant
-from tsjepa.radio.codecs import FRAME_CODECS
 from tsjepa.radio.schedulers import SCHEDULERS, SchedulerFunction
 
 HOLD, ZERO, LINEAR, EXACT = "hold", "zero", "linear", "exact"
@@ -151,7 +150,7 @@ def radio_end(
     if model is None:
         return [*chain, Codec(codec, in_key="state"), uplink]
     camera = Camera(plant.render, plant.spec.frame, model.frame_stack, model.frame_spacing)
-    if radio.codec in FRAME_CODECS:
+    if sends_frames(radio.codec):
         remote = Encode(model.encoder, model.embedding_dim, in_key="received", mask_key="delivered")
         return [*chain, camera, Codec(codec, in_key="pixels"), uplink, remote]
     return [*chain, camera, Encode(model.encoder, model.embedding_dim), Codec(codec), uplink]
@@ -182,7 +181,7 @@ def far_end(
 
 def _sent_as(radio: Radio) -> str:
     """Key of what the controller has received as an embedding."""
-    return "embedding" if radio.codec in FRAME_CODECS else "received"
+    return "embedding" if sends_frames(radio.codec) else "received"
 
 
 def _exact(plant: Plant, state: Tensor, action: Tensor) -> Tensor:

@@ -7,7 +7,8 @@ from torch import nn
 
 from tsjepa.envs.settings import Radio
 from tsjepa.models import Controller
-from tsjepa.radio.codecs import FRAME_CODECS, make_codec, payload_bits
+from tsjepa.radio.codecs import FRAME_CODECS, STREAM, make_codec, payload_bits
+from tsjepa.radio.video import frame_stream
 from tsjepa.support.spec import PlantSpec
 
 
@@ -23,6 +24,11 @@ class UnitNorm(nn.Module):
 
     def decode(self, packets) -> torch.Tensor:
         return nn.functional.normalize(self.codec.decode(packets), dim=-1)
+
+
+def sends_frames(codec: str) -> bool:
+    """Whether a codec sends frames, which the controller encodes, instead of what the device made of them."""
+    return codec in FRAME_CODECS or codec.startswith(STREAM)
 
 
 def embedding_codec(name: str, model: Controller) -> nn.Module:
@@ -52,8 +58,24 @@ def state_codec(name: str, spec: PlantSpec) -> nn.Module:
 
 
 def frame_codec(name: str, model: Controller, quality: int = 50) -> nn.Module:
-    """The codec that sends the frames that ``model`` stacks; see :func:`tsjepa.radio.codecs.make_codec`."""
+    """The codec that sends the frames that ``model`` stacks, in one picture or, as a stream, one by one.
+
+    Args:
+        name: one of :data:`FRAME_CODECS`, which with "stream-" before it sends the newest frame alone, or
+            "stream-h264". A stream wants an update of every device in every slot.
+        model: whose frames are sent.
+        quality: see :func:`tsjepa.radio.video.frame_stream`.
+
+    Raises:
+        ValueError: a stream for a model that does not stack neighbouring frames.
+    """
     stack, height, width, _ = model.encoder.frame_shape
+    if name.startswith(STREAM):
+        if model.frame_spacing != 1:
+            raise ValueError(
+                "A stream of frames needs a model whose stack holds neighbouring frames (frame_spacing 1)."
+            )
+        return frame_stream(name.removeprefix(STREAM), quality, height, width)
     return make_codec(name, quality=quality, frame_stack=stack, height=height, width=width)
 
 
@@ -63,7 +85,7 @@ def update_codec(radio: Radio, spec: PlantSpec, model: Controller | None) -> nn.
     Raises:
         ValueError: frames without a model to read them.
     """
-    if radio.codec in FRAME_CODECS:
+    if sends_frames(radio.codec):
         if model is None:
             raise ValueError(
                 f"The codec {radio.codec!r} sends frames, which need the encoder of a model as controller."
@@ -82,7 +104,7 @@ def update_bits(radio: Radio, spec: PlantSpec, model: Controller | None, codec: 
         return None
     if radio.payload_bits is not None:
         return radio.payload_bits
-    if radio.codec in FRAME_CODECS and radio.codec != "raw":
+    if sends_frames(radio.codec) and radio.codec != "raw":
         raise ValueError(
             f"Packets of the codec {radio.codec!r} vary in length: give radio.payload_bits, the bits to reserve for "
             "one, or radio.resource_blocks."

@@ -9,9 +9,12 @@ from functools import lru_cache
 import torch
 from torch import Tensor
 
-from tsjepa.envs.update_codec import fitted_codec
+from tsjepa.envs.payload import state_codec
+from tsjepa.plants import CartPole
 from tsjepa.evaluation.closed_loop import Starts, is_update, run, true_state_policy
-from tsjepa.evaluation.metrics import COMMAND_RANGE, normalized_score
+from tsjepa.evaluation.metrics import normalized_score
+
+COMMAND_RANGE = 40.0
 from tsjepa.paper.senders import make_sender
 from tsjepa.radio.codecs import payload_bits
 
@@ -104,16 +107,14 @@ def optimal_scores(*starts) -> Tensor:
 
 def command_error(starts: Starts, policy: Callable) -> Tensor:
     """Distance of the policy's commands to the expert's over 40 N [T], averaged over starts that the expert drives."""
-    from tsjepa.plants.expert import Expert
-
-    expert, commands = Expert(starts.sampling_interval), []
+    expert, commands = CartPole().experts()["expert"], []
 
     def driver(slot: int, observation) -> Tensor:
         commands.append(policy(slot, observation))
         return expert(observation["state"])
 
-    loop = run(starts, driver)
-    return (torch.stack(commands) - loop.action).abs().mean((1, 2)) / COMMAND_RANGE
+    _, action = run(starts, driver)
+    return (torch.stack(commands) - action).abs().mean((1, 2)) / COMMAND_RANGE
 
 
 @torch.no_grad()
@@ -142,9 +143,7 @@ class Camera:
     """The frames of one loop, of which each is rendered once however many stacks it is in."""
 
     def __init__(self) -> None:
-        from tsjepa.envs import Renderer
-
-        self.renderer, self.frames = Renderer(), {}
+        self.plant, self.frames = CartPole(), {}
 
     def stacks(self, model, slot: int, observation) -> Tensor:
         """Frames uint8 [N, kappa, H, W, 3] that a model stacks; the plants may keep more than it needs.
@@ -159,10 +158,8 @@ class Camera:
         missing = [wanted for wanted in slots if wanted not in self.frames]
         if missing:
             # the last of the remembered positions is that of this slot
-            qpos = observation["qpos"][:, [wanted - slot - 1 for wanted in missing]]
-            colors = observation["colors"].repeat_interleave(len(missing), 0)
-            frames = self.renderer.render(qpos.flatten(0, 1).double().numpy(), colors.numpy())
-            rendered = torch.from_numpy(frames).unflatten(0, qpos.shape[:2])
+            scene = observation["scene"][:, [wanted - slot - 1 for wanted in missing]]
+            rendered = torch.from_numpy(self.plant.render(scene.flatten(0, 1).numpy())).unflatten(0, scene.shape[:2])
             self.frames |= dict(zip(missing, rendered.unbind(1), strict=True))
         return torch.stack([self.frames[wanted] for wanted in slots], 1)
 
@@ -185,15 +182,13 @@ class RemotePolicy:
     """
 
     def __init__(self, point: dict, seed: int, camera: Camera | None = None) -> None:
-        from tsjepa.plants.expert import Expert
-
         self.model = model = None if point["model"] is None else load(point["model"])
         self.period, self.between, self.loss = point["update_every"], point["between"], point.get("loss", 0.0)
         if self.between not in ("predict", "hold", "zero"):
             raise ValueError(f"Between updates a controller cannot {self.between!r}; choose predict, hold or zero.")
         self.bits, self.draws = 0, torch.Generator().manual_seed(seed)
         if model is None:
-            self.codec, self.expert = fitted_codec(point["codec"], None), Expert(SAMPLING_INTERVAL)
+            self.codec, self.expert = state_codec(point["codec"], CartPole().spec), CartPole().experts()["expert"]
         else:
             self.sender = make_sender(model, point["sends"], point["codec"], point.get("quality"))
             self.camera = camera or Camera()

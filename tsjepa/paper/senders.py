@@ -9,7 +9,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from tsjepa.envs.update_codec import fitted_codec
+from tsjepa.envs.payload import embedding_codec
 from tsjepa.radio.codecs import make_codec, payload_bits
 
 SENDS = ("embedding", "stack", "stream", "video")
@@ -27,7 +27,7 @@ def make_sender(model: nn.Module, sends: str, codec: str, quality: int | None):
         quality: of JPEG and WebP; of H.264 the constant rate factor, 0 to 51, lower is better.
     """
     if sends == "embedding":
-        return EmbeddingSender(model, fitted_codec(codec, model))
+        return EmbeddingSender(model, embedding_codec(codec, model))
     stack = model.frame_stack
     if sends == "stack":
         return StackSender(model, make_codec(codec, quality=quality or 50, frame_stack=stack))
