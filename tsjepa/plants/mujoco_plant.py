@@ -29,7 +29,7 @@ class MujocoPlant:
     every moving geom. A subclass has ``state``, ``score``, ``failed`` and ``experts``, and may replace the rest.
 
     Args:
-        model: whose camera is called "view"; its timestep is set to fill the slot.
+        model: with a camera called "view", or else its first one; its timestep is set to fill the slot.
         spec: names, units and ranges.
         view: the camera.
         start_half_widths: of the uniform start about zero, [nq + nv], in metres, radians and per second.
@@ -134,8 +134,11 @@ class MujocoPlant:
 
 
 def place_camera(model: mujoco.MjModel, view: View) -> None:
-    """Points the model's camera "view"."""
-    camera = model.camera("view").id
+    """Fixes the model's camera "view" (or its first) to the world."""
+    from tsjepa.plants.renderer import view_camera
+
+    camera = view_camera(model)
+    model.cam_bodyid[camera], model.cam_mode[camera] = 0, 0
     model.cam_pos[camera], model.cam_quat[camera] = view.position, view.quaternion()
     model.cam_fovy[camera], model.cam_ipd[camera] = view.fovy, view.eyes
 
