@@ -82,11 +82,15 @@ class MujocoPlant:
     def advance(self, physics, action, seed, device, episode, slot) -> np.ndarray:
         """One slot with the command held, then the noise on the velocities."""
         check_action(action, self.spec)
-        physics = self.stepper.advance(physics, action)
+        physics = self.stepper.advance(physics, self.control(action))
         if self.process_noise_std.any():
             nq, nv = self.model.nq, self.model.nv
             physics[:, nq : nq + nv] += self.process_noise_std * normals(seed, NOISE, device, episode, slot, nv)
         return physics
+
+    def control(self, action: np.ndarray) -> np.ndarray:
+        """What the model's actuators [N, nu] are given for commands [N, m]."""
+        return action
 
     def scene(self, physics, seed, device, episode) -> np.ndarray:
         """Joint positions, then RGB of every moving geom."""

@@ -11,7 +11,6 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from tsjepa.plants.lens import View
 from tsjepa.plants.mujoco_plant import MujocoPlant
 from tsjepa.plants.policies import Rest, load_policy
 from tsjepa.plants.streams import START
@@ -61,21 +60,22 @@ class Suite(MujocoPlant):
         }
         self.domain, self.task = domain, task
         model = copy.copy(self._environment.physics.model.ptr)
-        from tsjepa.plants.joints import actuator_names, all_names
+        from tsjepa.plants.auto_camera import named_view
+        from tsjepa.plants.joints import POSITIONS, RATES, actuator_names, names_of
 
-        names, units = all_names(model)
+        names, units, _ = names_of(model, POSITIONS, RATES)
         commands = self._environment.action_spec()
         spec = PlantSpec(
             action_low=tuple(commands.minimum.tolist()),
             action_high=tuple(commands.maximum.tolist()),
             slot=slot or self._environment.control_timestep(),
             frame=tuple(frame),
-            state_names=names,
-            state_units=units,
-            action_names=actuator_names(model),
+            state_names=tuple(names),
+            state_units=tuple(units),
+            action_names=tuple(actuator_names(model)),
         )
         still = np.zeros(model.nq + model.nv)
-        super().__init__(model, spec, _view(model, camera, domain), still, process_noise_std)
+        super().__init__(model, spec, named_view(model, camera), still, process_noise_std)
         low, high = spec.action_low, spec.action_high
         self.expert = Rest(low, high) if expert is None else load_policy(expert, low, high)
 
@@ -156,14 +156,3 @@ def _model_bytes(environment, seed: int) -> bytes:
     buffer = np.zeros(mujoco.mj_sizeModel(model), np.uint8)
     mujoco.mj_saveModel(model, None, buffer)
     return buffer.tobytes()
-
-
-def _view(model, camera: str | int, domain: str) -> View:
-    from tsjepa.plants.joints import mean_pose
-
-    names = [model.camera(index).name for index in range(model.ncam)]
-    if camera not in names and camera not in range(model.ncam):
-        raise ValueError(f"{domain} has no camera {camera!r}; it has {', '.join(names)}.")
-    index = names.index(camera) if camera in names else camera
-    position, quaternion = mean_pose(model, index)
-    return View(tuple(position.tolist()), float(model.cam_fovy[index]), orientation=tuple(quaternion.tolist()))
