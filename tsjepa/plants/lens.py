@@ -28,6 +28,8 @@ class View:
         roll: degrees that the picture is turned, seen clockwise.
         samples: multi-samples of a pixel.
         supersampling: factor by which a larger picture is rendered and averaged down.
+        eyes: metres between the two eyes whose mean MuJoCo draws. Only with 0 is what is drawn of a picture exactly
+            where the moving parts are.
     """
 
     position: tuple[float, float, float]
@@ -37,6 +39,7 @@ class View:
     roll: float = 0.0
     samples: int = 4
     supersampling: int = 2
+    eyes: float = 0.0
 
     def quaternion(self) -> np.ndarray:
         """The camera's orientation [4], scalar first."""

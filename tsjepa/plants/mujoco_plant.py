@@ -12,7 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from tsjepa.plants.lens import View
-from tsjepa.plants.streams import COLOR, NOISE, START, normals, uniforms
+from tsjepa.plants.streams import COLOR, NOISE, REFERENCE, START, normals, uniforms
 from tsjepa.support.spec import PlantSpec
 
 if TYPE_CHECKING:  # training from a data set needs the specs and experts of this room, but not MuJoCo
@@ -137,7 +137,7 @@ def place_camera(model: mujoco.MjModel, view: View) -> None:
     """Points the model's camera "view"."""
     camera = model.camera("view").id
     model.cam_pos[camera], model.cam_quat[camera] = view.position, view.quaternion()
-    model.cam_fovy[camera] = view.fovy
+    model.cam_fovy[camera], model.cam_ipd[camera] = view.fovy, view.eyes
 
 
 def check_action(action: np.ndarray, spec: PlantSpec) -> None:
@@ -183,6 +183,13 @@ def changing_goals(
         held = torch.where(change, low + (high - low) * torch.rand(episodes, len(low), generator=generator), held)
         goals.append(held)
     return torch.stack(goals, 1).repeat_interleave(hold_slots, 1)[:, :slots]
+
+
+def jumping_set_point(
+    seed: int, device: np.ndarray, episode: np.ndarray, slot: np.ndarray, step: float, hold_slots: int
+) -> np.ndarray:
+    """Set-points [N, 1] that are drawn anew, plus or minus ``step``, every ``hold_slots`` slots."""
+    return step * np.sign(uniforms(seed, REFERENCE, device, episode, slot // hold_slots, 1) - 0.5)
 
 
 def _positive(name: str, value: float | Sequence[float], count: int) -> np.ndarray:
