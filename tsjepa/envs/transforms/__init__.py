@@ -1,7 +1,7 @@
 """The chain from plant to controller, one TorchRL transform per box.
 
-Order in a ``Compose``: Drive, Channel, Scheduler, Camera, Encode, Codec, Uplink, Estimator, HoldCommand; leave out what the
-experiment does not have.
+Order in a ``Compose``: Drive, Channel, Scheduler, Camera, Encode, Codec, Uplink, Estimator, HoldCommand; leave
+out what the experiment does not have.
 """
 
 from tsjepa.envs.transforms.camera import Camera, Encode
@@ -11,4 +11,15 @@ from tsjepa.envs.transforms.estimator import Estimator, HoldCommand, linear_mode
 from tsjepa.envs.transforms.scheduler import Scheduler
 from tsjepa.envs.transforms.uplink import Codec, Uplink
 
-__all__ = ["Camera", "Channel", "Codec", "Drive", "Encode", "Estimator", "HoldCommand", "Scheduler", "Uplink", "linear_model"]
+__all__ = [
+    "Camera",
+    "Channel",
+    "Codec",
+    "Drive",
+    "Encode",
+    "Estimator",
+    "HoldCommand",
+    "Scheduler",
+    "Uplink",
+    "linear_model",
+]
