@@ -20,9 +20,9 @@ Model = TypeVar("Model", bound="Controller")
 class Controller(nn.Module):
     """An encoder that runs on the device, and what turns its embeddings into commands elsewhere.
 
-    ``metrics``, ``card`` and ``entry_sha256`` are those of the entry that it was loaded from; ``plant`` has the class path
-    and the arguments of the plant that it was trained on, None for a recording. They travel with it, so replace them
-    where the weights have changed since.
+    ``metrics``, ``card`` and ``entry_sha256`` are those of the entry that it was loaded from; ``plant`` has the class
+    path and the arguments of the plant that it was trained on, None for a recording. They travel with it, so replace
+    them where the weights have changed since.
 
     Args:
         encoder: frames uint8 [..., frame_stack, H, W, 3], oldest first, to embeddings [..., d]; it has

@@ -19,8 +19,9 @@ from safetensors.torch import load_file, save_file
 from torch import nn
 
 from tsjepa.models import hub
-from tsjepa.models.description import build, describe
+from tsjepa.support.description import build, describe
 from tsjepa.support.files import exclusive, replace_folder
+from tsjepa.support.spec import PlantSpec
 
 FORMAT = 2
 FILES = ("config.yaml", "model.safetensors", "metrics.json", "README.md", "manifest.json")
@@ -113,7 +114,7 @@ def load(name_or_path: str | Path, sha256: str | None = None, trusted: bool = Fa
     folder = _download(name_or_path) if hub.is_address(name_or_path) else find(name_or_path)
     verify(folder, sha256)
     config = _config(folder / CONFIG)
-    model = build(config["model"], trusted)
+    model = build(config["model"], _part_of_a_model, trusted)
     weights = load_file(folder / WEIGHTS)
     own = model.state_dict()
     lacking = tuple(part for part in model.optional if not any(name.startswith(part) for name in weights))
@@ -132,6 +133,10 @@ def load(name_or_path: str | Path, sha256: str | None = None, trusted: bool = Fa
     card = folder / CARD
     model.card = card.read_text(encoding="utf-8", errors="replace") if card.is_file() else ""
     return model.eval().requires_grad_(False)
+
+
+def _part_of_a_model(kind: type) -> bool:
+    return issubclass(kind, (nn.Module, PlantSpec))
 
 
 def _download(address: str | Path) -> Path:
@@ -153,7 +158,7 @@ def save(
     """Writes an entry beside ``folder`` and renames it: a reader finds the old one or the new one, never half of one.
 
     Args:
-        model: a controller, of whose parts each keeps its arguments (see :func:`describe`).
+        model: a controller, of whose parts each keeps its arguments (see :func:`tsjepa.support.description.describe`).
         folder: replaced if it is there.
         metrics: figures for ``metrics.json``.
         card: text of the model card.
@@ -167,7 +172,7 @@ def save(
     """
     if dtype not in WEIGHT_DTYPES:
         raise ValueError(f"Weights are stored as {' or '.join(WEIGHT_DTYPES)}, not as {dtype!r}.")
-    config = {"format": FORMAT, "model": describe(model), "plant": model.plant}
+    config = {"format": FORMAT, "model": describe(model, _part_of_a_model), "plant": model.plant}
     folder = Path(folder)
     with exclusive(folder):
         partial = folder.with_name(folder.name + ".partial")

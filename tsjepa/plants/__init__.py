@@ -3,8 +3,9 @@
 MuJoCo and dm_control are imported when a plant is made: models and data sets load where they are not installed.
 """
 
+from tsjepa.plants.build import build_plant, describe_plant
 from tsjepa.plants.cartpole import CartPole
 from tsjepa.plants.plant import Plant
 from tsjepa.support.spec import PlantSpec
 
-__all__ = ["CartPole", "Plant", "PlantSpec"]
+__all__ = ["CartPole", "Plant", "PlantSpec", "build_plant", "describe_plant"]

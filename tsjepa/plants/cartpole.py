@@ -91,6 +91,7 @@ class CartPole(MujocoPlant):
         )
         model = load_suite_model("cartpole", in_newtons)
         super().__init__(model, spec, VIEW, start_half_widths, process_noise_std, random_colors)
+        self.sampling_interval = sampling_interval
         self.set_point_step, self.set_point_slots = set_point_step, set_point_slots
 
     def state(self, physics: np.ndarray) -> np.ndarray:
