@@ -82,10 +82,10 @@ def measure(loop: Loop, size: int, seed: int, optimal: Tensor) -> dict:
         "seed": seed,
         "num_devices": size,
         "score": normalized_score(fleet.raw_score(), optimal[seed, :size]),
-        "mean_age": float(fleet.age.double().fmean()),
-        "failed": float(fleet.failed().float().fmean()),
+        "mean_age": float(fleet.age.double().mean()),
+        "failed": float(fleet.failed().float().mean()),
         "utilisation": fleet.utilisation(),
-        "bits_per_device_and_slot": float(fleet.payload_bits.double().fmean()),
+        "bits_per_device_and_slot": float(fleet.payload_bits.double().mean()),
         "optimal_policy": loop.plant.normaliser,
     }
 

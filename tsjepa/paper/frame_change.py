@@ -10,9 +10,14 @@ import torch
 from torch import Tensor
 
 from tsjepa.data.augmentation import Augmentation
+from tsjepa.data.collect import Coverage, Split, simulate
+from tsjepa.envs import FleetEnv
 from tsjepa.paper import plots
 from tsjepa.paper.claims import Verdict, judge, setbacks
 from tsjepa.paper.store import flat
+from tsjepa.plants import CartPole
+from tsjepa.plants.mujoco_plant import changing_goals
+from tsjepa.support.seeds import derive
 
 TITLE = "MAPE between consecutive frames"
 CAPTION = (
@@ -27,7 +32,8 @@ QUANTILES = tuple(range(0, 101, 2))  # of the distribution, in percent
 SHOWN = "independent"
 ABOUT_FIVE = 8.0  # times
 MEANINGFUL = 5.0  # percent of change; the paper's brightness jitter alone is as much
-STREAM = 3_000_000  # seeds of the trajectories, which no data set uses
+DURATION, HELD = 2.0, 0.5  # s, of a trajectory and of a set-point, as in the training data
+TRAINING_INTERVAL = 0.02  # s, for which the training data's exploration noise is given
 
 
 def points(intervals_ms: Sequence[float], augmentations: Sequence[str], seeds: int, episodes: int, pairs: int):
@@ -55,7 +61,8 @@ def evaluate(point: dict) -> list[dict]:
         frames = consecutive_frames(point["interval_ms"] / 1000, seed, point["episodes"], point["pairs"])
         known = frames[:, 0] != 0
         if point["augmentation"] == "independent":
-            frames = augmented(frames.flatten(0, 1), torch.Generator().manual_seed(seed)).unflatten(0, frames.shape[:2])
+            generator = torch.Generator().manual_seed(derive(seed, "frame change", "augmentation"))
+            frames = augmented(frames.flatten(0, 1), generator).unflatten(0, frames.shape[:2])
         error = mape(frames[:, 1].float(), frames[:, 0].float(), known)
         rows.append(
             {
@@ -81,27 +88,27 @@ def mape(frames: Tensor, previous: Tensor, known: Tensor) -> Tensor:
     return 100 * change.sum((1, 2, 3)) / known.sum((1, 2, 3))
 
 
+class OnItsOwnTime(CartPole):
+    """The cart-pole whose set-points are held for as many seconds at every sampling interval."""
+
+    def goals(self, episodes: int, slots: int, generator: torch.Generator) -> Tensor:
+        """Wanted positions [episodes, slots, 1] in metres."""
+        low, high, hold = self.spec.reference_low, self.spec.reference_high, max(1, round(HELD / self.spec.slot))
+        return changing_goals(low, high, episodes, slots, generator, hold)
+
+
 def consecutive_frames(sampling_interval: float, seed: int, episodes: int, pairs: int) -> Tensor:
     """uint8 [episodes * pairs, 2, H, W, 3]: neighbouring frames, evenly spread over trajectories of 2 s."""
-    from tsjepa.data.collect import Coverage, Split, simulate
-    from tsjepa.envs import FleetEnv, Renderer
-    from tsjepa.plants.expert import Expert
-
-    slots = round(2.0 / sampling_interval)
-    fleet = FleetEnv(episodes, sampling_interval, episode_length=slots, seed=STREAM + seed, terminate_on_failure=False)
-    # the training data's behaviour, on its own time scale at every interval
-    reference = Coverage()
-    coverage = Coverage(
-        hold_slots=max(1, round(reference.hold_slots * 0.02 / sampling_interval)),
-        noise_memory=reference.noise_memory ** (sampling_interval / 0.02),
-        noise_std=reference.noise_std * (sampling_interval / 0.02) ** 0.5,
-    )
-    generator = torch.Generator().manual_seed(STREAM + seed)
-    state = simulate(Split(episodes), coverage, slots, 0, fleet, Expert(sampling_interval), generator)["state"]
+    plant, slots = OnItsOwnTime(sampling_interval), round(DURATION / sampling_interval)
+    # the training data's exploration noise, as long remembered and as strong at every interval
+    noise, share = Coverage(), sampling_interval / TRAINING_INTERVAL
+    coverage = Coverage(noise.noise_memory**share, noise.noise_std * share**0.5)
+    stream = derive(seed, "frame change", "trajectories")
+    fleet = FleetEnv(plant, episodes, slots, seed=stream, terminate_on_failure=False)
+    scene = simulate(plant, Split(episodes), coverage, slots, 0, fleet, stream)["scene"]
     first = torch.linspace(0, slots - 1, pairs).long()
-    qpos = torch.stack((state[:, first, :2], state[:, first + 1, :2]), dim=2)
-    frames = Renderer().render(qpos.reshape(-1, 2).double().numpy())
-    return torch.from_numpy(frames).unflatten(0, (episodes * pairs, 2))
+    neighbours = torch.stack((scene[:, first], scene[:, first + 1]), dim=2)
+    return torch.from_numpy(plant.render(neighbours.flatten(0, 2).numpy())).unflatten(0, (episodes * pairs, 2))
 
 
 def augmented(frames: Tensor, generator: torch.Generator) -> Tensor:

@@ -32,8 +32,8 @@ def loop_rows(point: dict) -> list[dict]:
         point: ``model`` (an entry of the zoo, or None for the expert on the true state), ``sends`` ("state",
             "embedding", "stack" for all frames in one picture, "stream" for the newest frame alone, "video" for the
             same as H.264), ``codec``, ``quality`` (see :class:`Radio`), ``update_every`` (slots; 0 is once),
-            ``between`` ("predict", "hold" or "zero"), ``seeds``, ``starts``, ``slots``, ``process_noise_std``, and where
-            given ``loss``, the probability that an update is lost.
+            ``between`` ("predict", "hold" or "zero"), ``seeds``, ``starts``, ``slots``, ``process_noise_std``, and
+            where given ``loss``, the probability that an update is lost.
 
     Returns:
         ``score`` (normalised by the plant's ``optimal_policy``), ``failed`` (share), ``cost`` (quadratic),
