@@ -106,6 +106,12 @@ class Encoder(nn.Module):
         self.register_buffer("pixel_shift", (-mean / std).repeat(PATCH**2 * frame_stack), persistent=False)
         self.to(memory_format=torch.channels_last)
 
+    @property
+    def memory_format(self) -> torch.memory_format:
+        """Of the weights, and so of the pictures: ``encoder.to(memory_format=...)`` changes both, and no number."""
+        is_last = self.stages[0].conv1.weight.is_contiguous(memory_format=torch.channels_last)
+        return torch.channels_last if is_last else torch.contiguous_format
+
     def normalize(self, frames: Tensor) -> Tensor:
         """uint8 frames [N, frame_stack, H, W, 3] to normalised patches [N, H / 4, W / 4, 48 * frame_stack]."""
         # in place: at 64 observations the two buffers that this spares cost as much as a third of the network
@@ -113,7 +119,8 @@ class Encoder(nn.Module):
 
     def embed(self, patches: Tensor) -> Tensor:
         """Normalised patches [N, H / 4, W / 4, 48 * frame_stack] to embeddings [N, d] of unit length, float32."""
-        features = self.stages(self.stem(patches.permute(0, 3, 1, 2))).permute(0, 2, 3, 1).flatten(1)
+        picture = patches.permute(0, 3, 1, 2).contiguous(memory_format=self.memory_format)
+        features = self.stages(self.stem(picture)).permute(0, 2, 3, 1).flatten(1)
         return F.normalize(self.project(features).float(), dim=-1)
 
     def forward(self, frames: Tensor) -> Tensor:
