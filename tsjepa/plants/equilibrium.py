@@ -110,6 +110,10 @@ def _reachable(a: Tensor, b: Tensor) -> Tensor:
     while new.shape[1] and basis.shape[1] < len(a):
         new = new - basis @ (basis.T @ new)
         left, sizes, _ = torch.linalg.svd(new, full_matrices=False)
-        left = left[:, sizes > REACHED * max(float(sizes.max()), 1e-300)] if not basis.shape[1] else left[:, sizes > REACHED]
+        left = (
+            left[:, sizes > REACHED * max(float(sizes.max()), 1e-300)]
+            if not basis.shape[1]
+            else left[:, sizes > REACHED]
+        )
         basis, new = torch.cat((basis, left), dim=1), a @ left
     return basis
