@@ -100,7 +100,8 @@ class TSJEPA(lightning.LightningModule):
         commands = batch["commands"]
         windows, stacks = batch["patches"].shape[:2]
         generator = torch.Generator().manual_seed(derive(run_seed(), "augmentation", self.global_step))
-        patches = self.augmentation(batch["patches"].flatten(0, 1), generator, shared=stacks)
+        mix = getattr(self.encoder, "color_mix", None)
+        patches = self.augmentation(batch["patches"].flatten(0, 1), generator, stacks, mix)
         embedding = embed_patches(self.encoder, patches).unflatten(0, (windows, stacks))
         with torch.no_grad():
             target = embed_patches(self.target_encoder.module, patches).unflatten(0, (windows, stacks))
