@@ -10,7 +10,7 @@ from tensordict import TensorDictBase
 from torch.utils.data import DataLoader
 
 from tsjepa.data.checks import check_split
-from tsjepa.data.storage import METADATA, open_split, read_metadata
+from tsjepa.data.storage import METADATA, open_split, read_metadata, spec_of
 from tsjepa.data.windows import WindowDataset, WindowSampler
 from tsjepa.support.checks import at_least
 from tsjepa.support.recipes import find_recipe, parse_arguments
@@ -27,7 +27,8 @@ class Trajectories(lightning.LightningDataModule):
 
     Args:
         path: folder of the data set.
-        collect: recipe that collects the data set when ``path`` does not exist.
+        collect: recipe, or several of which later ones lie over the first, that collects the data set when ``path``
+            does not exist; None for one that is imported.
         frame_stack: kappa.
         frame_spacing: slots between the frames of a stack; 2 or 3 multiply what a velocity moves in the picture.
         stacks: stacks per window.
@@ -41,8 +42,8 @@ class Trajectories(lightning.LightningDataModule):
 
     def __init__(
         self,
-        path: str = "data/cartpole-20ms",
-        collect: str = "recipes/data.yaml",
+        path: str,
+        collect: str | Sequence[str] | None = None,
         frame_stack: int = 2,
         frame_spacing: int = 1,
         stacks: int = 8,
@@ -63,7 +64,8 @@ class Trajectories(lightning.LightningDataModule):
             at_least(1, episodes=episodes)
         if frames_per_batch % stacks:
             raise ValueError(f"frames_per_batch = {frames_per_batch} is not a multiple of stacks = {stacks}.")
-        self.path, self.recipe = Path(path), collect
+        self.path = Path(path)
+        self.recipes = [collect] if isinstance(collect, str) else list(collect or ())
         self.frame_stack, self.frame_spacing, self.stacks = frame_stack, frame_spacing, stacks
         self.frames_per_batch, self.steps, self.episodes = frames_per_batch, steps, episodes
         self.splits, self.start_share = tuple(splits), start_share
@@ -76,15 +78,21 @@ class Trajectories(lightning.LightningDataModule):
     def prepare_data(self) -> None:
         if (self.path / METADATA).is_file():
             return
-        recipe = find_recipe(self.recipe)
-        if not Path(recipe).is_file():
-            raise FileNotFoundError(f"There is no data set in {self.path} and no recipe {recipe} to collect it with.")
+        if not self.recipes:
+            raise FileNotFoundError(f"There is no data set in {self.path}: make it with `tsjepa import` or `collect`.")
+        for recipe in self.recipes:
+            if not Path(find_recipe(recipe)).is_file():
+                raise FileNotFoundError(
+                    f"There is no data set in {self.path} and no recipe {recipe} to collect it with."
+                )
         from tsjepa.data.collect import collect  # needs a renderer, which training from a data set does not
 
-        collect(**parse_arguments(collect, ["--config", recipe, "--path", str(self.path)], "tsjepa collect"))
+        layers = [word for recipe in self.recipes for word in ("--config", recipe)]
+        collect(**parse_arguments(collect, [*layers, "--path", str(self.path)], "tsjepa collect"))
 
     def setup(self, stage: str | None = None) -> None:
         self.metadata = read_metadata(self.path)
+        self.spec = spec_of(self.metadata)
         if stage == "fit":
             for name in self.metadata["splits"]:
                 check_split(self.split(name), name)

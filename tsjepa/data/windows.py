@@ -105,7 +105,8 @@ class WindowDataset(Dataset):
     A batch's frames are read from the splits' memory maps, so that a data set may be larger than memory.
 
     Args:
-        splits: batch sizes [episodes, T + 1] with the same T, keys ``pixels``, ``action`` and ``expert_action``.
+        splits: batch sizes [episodes, T + 1] with the same T, keys ``pixels``, ``action`` and, where
+            an expert labelled it, ``expert_action``.
         stacks: W.
         frame_stack: kappa.
         frame_spacing: slots between the frames of a stack.
@@ -115,7 +116,7 @@ class WindowDataset(Dataset):
         self.pixels = [torch.from_numpy(split["pixels"].numpy()).flatten(0, 1) for split in splits]
         self.bounds = torch.tensor(list(accumulate(map(len, self.pixels), initial=0)))
         self.action = torch.cat([split["action"].flatten(0, 1) for split in splits])
-        self.expert_action = torch.cat([split["expert_action"].flatten(0, 1) for split in splits])
+        self.expert_action = torch.cat([split.get("expert_action", split["action"]).flatten(0, 1) for split in splits])
         self.frames, self.stacks = splits[0].shape[1], stacks
         self.offsets = frame_spacing * torch.arange(1 - frame_stack, 1)
 
@@ -124,8 +125,8 @@ class WindowDataset(Dataset):
 
         Returns:
             The stacks' ``patches`` uint8 [W, H / 4, W / 4, 48 * kappa] (see
-            :func:`tsjepa.models.encoder.patchify`), and in newtons the ``commands`` [step * (W - 1), 1] that were
-            applied from the first to the last stack and the ``expert_action`` [W, 1] of the supervised baseline.
+            :func:`tsjepa.models.encoder.patchify`), the ``commands`` [step * (W - 1), m] that were applied
+            from the first to the last stack and the ``expert_action`` [W, m] of the supervised baseline.
         """
         newest = window.episode * self.frames + window.start
         stacks = newest[:, None] + window.step * torch.arange(self.stacks)

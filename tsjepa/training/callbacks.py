@@ -69,7 +69,7 @@ class Pace(lightning.Callback):
             seconds = (time.monotonic() - self.began) / self.TIMED
             finishes = [type(callback).__name__ for callback in trainer.callbacks if isinstance(callback, Finish)]
             left = trainer.estimated_stepping_batches - trainer.global_step
-            trainer.print(f"TS-JEPA: {pace(seconds, left)}" + (f", then {', '.join(finishes)}." if finishes else "."))
+            trainer.print(f"This fit: {pace(seconds, left)}" + (f", then {', '.join(finishes)}." if finishes else "."))
 
 
 def pace(seconds: float, left: float) -> str:
@@ -84,36 +84,27 @@ def pace(seconds: float, left: float) -> str:
 class ExportModel(lightning.Callback):
     """Writes the module's controller as a zoo entry when the fit ends, so that a run's result loads like any other.
 
-    Args:
-        folder: of the entry; ``tsjepa.load`` takes it.
+    Every ``tsjepa fit`` has it. The entry is the folder "model" in the trainer's default_root_dir.
     """
-
-    def __init__(self, folder: str) -> None:
-        self.folder = Path(folder)
 
     def on_fit_end(self, trainer: lightning.Trainer, module: lightning.LightningModule) -> None:
         if trainer.is_global_zero:
             values = {name: float(value) for name, value in trainer.callback_metrics.items()}
             used = {"precision": trainer.precision, "memory_format": memory_format_of(module)}
             metrics = {"made_by": provenance(), "machine": machine() | used, **values}
-            entries.save(module.controller(), self.folder, metrics)
-            print(f"Model written to {self.folder}.")
+            folder = Path(trainer.default_root_dir) / "model"
+            entries.save(module.controller(), folder, metrics)
+            print(f"Model written to {folder}.")
 
 
 class WritePredictions(lightning.Callback):
-    """Writes what ``tsjepa predict`` makes of the test split as named NumPy arrays.
-
-    Args:
-        path: of the ``.npz`` file.
-    """
-
-    def __init__(self, path: str) -> None:
-        self.path = Path(path)
+    """Writes what ``tsjepa predict`` makes of the test split as named arrays: predictions.npz in default_root_dir."""
 
     def on_predict_batch_end(
         self, trainer, module, outputs: TensorDictBase, batch, batch_idx: int, dataloader_idx: int = 0
     ) -> None:
-        self.path.parent.mkdir(parents=True, exist_ok=True)
+        path = Path(trainer.default_root_dir) / "predictions.npz"
+        path.parent.mkdir(parents=True, exist_ok=True)
         # NumPy has no bfloat16, in which mixed precision answers
-        np.savez(self.path, **{name: tensor.float().cpu().numpy() for name, tensor in outputs.items()})
-        print(f"Predictions ({', '.join(sorted(outputs.keys()))}) written to {self.path}.")
+        np.savez(path, **{name: tensor.float().cpu().numpy() for name, tensor in outputs.items()})
+        print(f"Predictions ({', '.join(sorted(outputs.keys()))}) written to {path}.")

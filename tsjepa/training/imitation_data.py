@@ -66,29 +66,33 @@ class ImitationPairs(Trajectories):
         batch_size: pairs per step (200 in the paper).
         horizons: slots ahead at which embeddings are predicted; 0 is received, and one listed twice counts twice.
         splits: of the data set that the actor learns from.
+        validation, test: splits on which its command error is measured.
     """
 
     def __init__(
         self,
-        path: str = "data/cartpole-20ms",
-        collect: str = "recipes/data.yaml",
+        path: str,
+        collect: str | Sequence[str] | None = None,
         batch_size: int = 200,
         horizons: Sequence[int] = (0,),
         splits: Sequence[str] = ("actor_train",),
+        validation: str = "validation",
+        test: str = "actor_test",
     ) -> None:
         super().__init__(path, collect)
+        self.validation, self.test = validation, test
         self.batch_size, self.horizons, self.splits = batch_size, tuple(horizons), tuple(splits)
 
     def setup(self, stage: str | None = None) -> None:
         super().setup(stage)
         # Lightning moves the module after this
         model = self.trainer.lightning_module.model.to(self.trainer.strategy.root_device)
-        spacing = model.architecture.frame_spacing
+        spacing = model.frame_spacing
         train = torch.cat([embed_split(model.encoder, self.split(name), spacing) for name in self.splits])
         self.pairs = imitation_pairs(model, train, self.horizons)
         self.held_out = {
             name: embed_split(model.encoder, self.split(name), spacing).flatten(0, 1)
-            for name in ("validation", "actor_test")
+            for name in {self.validation, self.test}
         }
 
     def train_dataloader(self) -> DataLoader:
@@ -97,9 +101,9 @@ class ImitationPairs(Trajectories):
         return DataLoader(TensorRows(self.pairs), sampler=sampler, batch_size=None, collate_fn=as_is)
 
     def val_dataloader(self) -> DataLoader:
-        return DataLoader([self.held_out["validation"]], batch_size=None, collate_fn=as_is)
+        return DataLoader([self.held_out[self.validation]], batch_size=None, collate_fn=as_is)
 
     def test_dataloader(self) -> DataLoader:
-        return DataLoader([self.held_out["actor_test"]], batch_size=None, collate_fn=as_is)
+        return DataLoader([self.held_out[self.test]], batch_size=None, collate_fn=as_is)
 
     predict_dataloader = test_dataloader

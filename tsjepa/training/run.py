@@ -6,11 +6,13 @@ import os
 import warnings
 from collections.abc import Sequence
 from contextlib import ExitStack
+from pathlib import Path
 from typing import Literal
 
 import torch
 from jsonargparse import Namespace
 from lightning import LightningModule, Trainer
+from lightning.pytorch.callbacks import Callback, ModelCheckpoint
 from lightning.pytorch.cli import LightningArgumentParser, LightningCLI, SaveConfigCallback
 
 from tsjepa.support.allocator import keep_freed_memory
@@ -18,7 +20,10 @@ from tsjepa.support.files import exclusive
 from tsjepa.support.precision import MEMORY_FORMATS, Precision, candidates, choose, describe
 from tsjepa.support.recipes import error_method, find_recipes
 from tsjepa.support.trust import TRUST
-from tsjepa.training.callbacks import Pace, StopWhenNotFinite
+from tsjepa.training.callbacks import ExportModel, Pace, StopWhenNotFinite, WritePredictions
+from tsjepa.training.resume import ContinuedCSVLogger
+
+ROOT = "runs/fit"  # where a recipe without trainer.default_root_dir leaves its results
 
 
 class SaveFitConfig(SaveConfigCallback):
@@ -50,6 +55,18 @@ def device_of(accelerator: object) -> torch.device:
     if accelerator in ("auto", "gpu", "mps") and torch.backends.mps.is_available():
         return torch.device("mps")
     return torch.device("cpu")
+
+
+def equipment(root: Path, checkpoints: bool) -> list[Callback]:
+    """What every fit has, so that recipes need not name it: the result, predictions and checkpoints below ``root``.
+
+    The export comes behind what a recipe lists, so that it writes what the finishes have made.
+    """
+    every = [StopWhenNotFinite(), Pace(), ExportModel(), WritePredictions()]
+    if not checkpoints:
+        return every
+    last = {"save_last": True, "every_n_epochs": 1, "save_on_train_epoch_end": True, "enable_version_counter": False}
+    return [*every, ModelCheckpoint(dirpath=root / "checkpoints", **last)]
 
 
 def run_lightning(command: str, options: Sequence[str], program: str = "tsjepa", trusted: bool = False) -> None:
@@ -100,7 +117,11 @@ def run_lightning(command: str, options: Sequence[str], program: str = "tsjepa",
             settings.trainer.precision = chosen.trainer
             settings.memory_format = settings.memory_format or chosen.memory_format
             self.model.to(memory_format=MEMORY_FORMATS[settings.memory_format])
-            return super().instantiate_trainer(precision=chosen.trainer, **kwargs)
+            root = Path(settings.trainer.default_root_dir or ROOT)
+            if settings.trainer.logger in (None, True):
+                kwargs["logger"] = ContinuedCSVLogger(root.parent, name="", version=root.name)
+            self.trainer_defaults["callbacks"] += equipment(root, settings.trainer.enable_checkpointing is not False)
+            return super().instantiate_trainer(precision=chosen.trainer, default_root_dir=root, **kwargs)
 
         # Two fits in one folder would mix their checkpoints and logs.
         def before_fit(self) -> None:
@@ -109,7 +130,7 @@ def run_lightning(command: str, options: Sequence[str], program: str = "tsjepa",
                 stack.enter_context(exclusive(logger.log_dir if logger else self.trainer.default_root_dir))
                 settings = self.config[command]
                 chosen = Precision(settings.trainer.precision, settings.memory_format)
-                print(f"TS-JEPA: computes in {describe(chosen, self.trainer.strategy.root_device)}.")
+                print(f"This fit computes in {describe(chosen, self.trainer.strategy.root_device)}.")
 
     # Lightning warns when it is handed arguments while the process has its own.
     warnings.filterwarnings("ignore", message="LightningCLI's args parameter")
@@ -121,7 +142,7 @@ def run_lightning(command: str, options: Sequence[str], program: str = "tsjepa",
             auto_configure_optimizers=False,
             trainer_defaults={
                 "plugins": {"class_path": "tsjepa.training.resume.AtomicCheckpointIO"},
-                "callbacks": [StopWhenNotFinite(), Pace()],
+                "callbacks": [],
                 # the data modules' own samplers know their process
                 "use_distributed_sampler": False,
             },

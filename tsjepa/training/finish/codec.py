@@ -26,10 +26,10 @@ class FitCodec(Finish):
 
     def finish(self, trainer: lightning.Trainer, module: lightning.LightningModule) -> None:
         model, data = module.controller(), trainer.datamodule
-        spacing = model.architecture.frame_spacing
+        spacing = model.frame_spacing
         parts = [
             embed_split(model.encoder, data.split(name), spacing)["embedding"].flatten(0, 1) for name in self.splits
         ]
-        codec = AffineCodec(model.architecture.embedding_dim).to(model.code_low.device).fit(torch.cat(parts))
+        codec = AffineCodec(model.embedding_dim).to(model.code_low.device).fit(torch.cat(parts))
         model.code_low.copy_(codec.low)
         model.code_high.copy_(codec.high)

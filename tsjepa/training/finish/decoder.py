@@ -131,7 +131,7 @@ class FitDecoder(Finish):
         model, data = module.controller(), trainer.datamodule
         embeddings, frames = [], []
         for split in map(data.split, self.splits):
-            embedded = embed_split(model.encoder, split, model.architecture.frame_spacing)["embedding"]
+            embedded = embed_split(model.encoder, split, model.frame_spacing)["embedding"]
             newest = torch.from_numpy(split["pixels"].numpy())[:, -embedded.shape[1] :]
             embeddings.append(embedded.flatten(0, 1))
             frames.append(newest.flatten(0, 1))

@@ -32,7 +32,7 @@ def fit_probe(
     Args:
         probe: its ``state_mean`` and ``state_std`` are set from ``state``.
         embedding: [N, d].
-        state: [N, 4].
+        state: [N, n].
         steps, batch_size, learning_rate: of AdamW with warm-up and cosine decay.
         seed: seed of the batches.
     """
@@ -61,7 +61,10 @@ class FitProbe(Finish):
 
     def finish(self, trainer: lightning.Trainer, module: lightning.LightningModule) -> None:
         model, data = module.controller(), trainer.datamodule
-        spacing = model.architecture.frame_spacing
+        if model.probe is None:
+            trainer.print("The data have no states: there is no probe.")
+            return
+        spacing = model.frame_spacing
         parts = [embed_split(model.encoder, data.split(name), spacing).flatten(0, 1) for name in self.splits]
         rows = torch.cat(parts)
         fit_probe(model.probe, rows["embedding"], rows["state"], self.steps, seed=derive(run_seed(), "probe"))

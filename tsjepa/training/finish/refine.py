@@ -9,8 +9,6 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor, nn
 
-from tsjepa.data.module import Trajectories
-from tsjepa.data.storage import open_split
 from tsjepa.models.predictor import rollout
 from tsjepa.support.seeds import derive, run_seed
 from tsjepa.training.embeddings import embed_split
@@ -72,7 +70,7 @@ def refine_predictor(
 def draw(
     embedded: TensorDictBase, count: int, horizon: int, generator: torch.Generator, start_share: float = 0.0
 ) -> tuple[Tensor, Tensor]:
-    """Embeddings [count, horizon + 1, d] and commands [count, horizon, 1] of roll-outs that begin anywhere, or, as
+    """Embeddings [count, horizon + 1, d] and commands [count, horizon, m] of roll-outs that begin anywhere, or, as
     many as ``start_share`` says, where a trajectory begins."""
     embedding, action = embedded["embedding"], embedded["action"]
     episodes, slots = embedded.batch_size
@@ -86,8 +84,10 @@ def draw(
 class RefinePredictor(Finish):
     """Runs :func:`refine_predictor` when the fit ends, on the data module's training splits. List it before the export.
 
-    Args: as of :func:`refine_predictor`, with ``starts`` the folder of a data set, whose split "train" is taken, and
-        ``collect_starts`` the recipe that collects it when it does not exist.
+    Args:
+        steps, horizon, batch_size, learning_rate, start_share: as of :func:`refine_predictor`.
+        starts: split of many short trajectories from which ``start_share`` of the roll-outs is taken; None for the
+            starts of the training splits.
     """
 
     def __init__(
@@ -98,31 +98,29 @@ class RefinePredictor(Finish):
         learning_rate: float = 2e-3,
         start_share: float = 0.0,
         starts: str | None = None,
-        collect_starts: str = "recipes/zoo/starts.yaml",
     ) -> None:
         self.steps, self.horizon, self.batch_size = steps, horizon, batch_size
-        self.learning_rate, self.start_share = learning_rate, start_share
-        self.starts, self.collect_starts = starts, collect_starts
+        self.learning_rate, self.start_share, self.starts = learning_rate, start_share, starts
 
     def on_fit_start(self, trainer: lightning.Trainer, module: lightning.LightningModule) -> None:
-        if self.starts is not None and trainer.is_global_zero:  # now: what is wrong with it is told before the fit
-            Trajectories(path=self.starts, collect=self.collect_starts).prepare_data()
-            open_split(self.starts, "train")
+        if self.starts is not None:
+            trainer.datamodule.split(self.starts)  # what is wrong with it is told before the fit
 
     def finish(self, trainer: lightning.Trainer, module: lightning.LightningModule) -> None:
         data = trainer.datamodule
-        spacing = data.frame_spacing
-        embedded = torch.cat([embed_split(module.encoder, data.split(name), spacing) for name in data.splits])
-        starts = self.starts and embed_split(module.encoder, open_split(self.starts, "train"), spacing)
+
+        def embedded(*names: str) -> TensorDictBase:
+            return torch.cat([embed_split(module.encoder, data.split(name), data.frame_spacing) for name in names])
+
         refine_predictor(
             module.predictor,
-            embedded,
+            embedded(*data.splits),
             self.steps,
             self.horizon,
             self.batch_size,
             self.learning_rate,
             derive(run_seed(), "refine"),
             self.start_share,
-            starts,
+            embedded(self.starts) if self.starts else None,
             trainer.precision_plugin.forward_context,
         )
