@@ -91,6 +91,10 @@ def balancing_gain(
         ValueError: something that no command moves grows by itself.
     """
     basis = _reachable(a, b)
+    if not basis.shape[1]:
+        raise ValueError(
+            "No command in action moves anything in state: name an actuator or a coordinate that it moves."
+        )
     rest = torch.linalg.qr(torch.cat((basis, torch.eye(len(a), dtype=a.dtype)), dim=1)).Q[:, basis.shape[1] :]
     values, vectors = torch.linalg.eig(rest.T @ a @ rest)
     if len(values) and (worst := int(values.abs().argmax())) >= 0 and values[worst].abs() > GROWING:
@@ -110,6 +114,10 @@ def _reachable(a: Tensor, b: Tensor) -> Tensor:
     while new.shape[1] and basis.shape[1] < len(a):
         new = new - basis @ (basis.T @ new)
         left, sizes, _ = torch.linalg.svd(new, full_matrices=False)
-        left = left[:, sizes > REACHED * max(float(sizes.max()), 1e-300)] if not basis.shape[1] else left[:, sizes > REACHED]
+        left = (
+            left[:, sizes > REACHED * max(float(sizes.max()), 1e-300)]
+            if not basis.shape[1]
+            else left[:, sizes > REACHED]
+        )
         basis, new = torch.cat((basis, left), dim=1), a @ left
     return basis

@@ -7,7 +7,9 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
-FREE, BALL, SLIDE, HINGE = (int(getattr(mujoco.mjtJoint, f"mjJNT_{kind}")) for kind in ("FREE", "BALL", "SLIDE", "HINGE"))
+FREE, BALL, SLIDE, HINGE = (
+    int(getattr(mujoco.mjtJoint, f"mjJNT_{kind}")) for kind in ("FREE", "BALL", "SLIDE", "HINGE")
+)
 Table = dict[int, list[tuple[str, str]]]
 _PLACE = [("x", "m"), ("y", "m"), ("z", "m")]
 _QUATERNION = [("qw", "1"), ("qx", "1"), ("qy", "1"), ("qz", "1")]

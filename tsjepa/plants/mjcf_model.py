@@ -38,7 +38,9 @@ def load_model(
         ) from error
     names = actuator_names(model)
     if not action or set(action) - set(names):
-        raise ValueError(f"action names {', '.join(action) or 'no actuator'}; the model has {', '.join(names) or 'none'}.")
+        raise ValueError(
+            f"action names {', '.join(action) or 'no actuator'}; the model has {', '.join(names) or 'none'}."
+        )
     for name, bounds in action.items():
         if len(bounds) != 2:
             raise ValueError(f"action gives {list(bounds)} for {name}; give its lowest and its highest command.")
@@ -51,9 +53,7 @@ def load_model(
     return model
 
 
-def settled(
-    model: mujoco.MjModel, pose: str | Mapping[str, float] | None, seconds: float
-) -> tuple[np.ndarray, bool]:
+def settled(model: mujoco.MjModel, pose: str | Mapping[str, float] | None, seconds: float) -> tuple[np.ndarray, bool]:
     """Joint positions [nq] after ``seconds`` from a pose with all commands at 0, and whether anything touches then.
 
     Raises:

@@ -88,7 +88,11 @@ class Suite(MujocoPlant):
 
         if (self.domain, self.task) not in suite.ALL_TASKS:
             tasks = [task for domain, task in suite.ALL_TASKS if domain == self.domain]
-            known = f"{self.domain} has {', '.join(tasks)}" if tasks else f"the domains are {', '.join(suite.TASKS_BY_DOMAIN)}"
+            known = (
+                f"{self.domain} has {', '.join(tasks)}"
+                if tasks
+                else f"the domains are {', '.join(suite.TASKS_BY_DOMAIN)}"
+            )
             raise ValueError(f"The suite has no task {self.domain!r}, {self.task!r}; {known}.")
         environment = suite.load(self.domain, self.task, {"random": 0})
         drawn = [_model_bytes(environment, seed) for seed in (1, 2)]
