@@ -75,7 +75,7 @@ class Augmentation(nn.Module):
         draws = self.draw(groups * world_size, generator)[rank::world_size].to(device)
         dtype = torch.get_autocast_dtype(device.type) if torch.is_autocast_enabled(device.type) else torch.float32
         if self.blur_sigma is not None:
-            patches = patchify(self.blur(unpatchify(patches), generator))
+            patches = patchify(self.blur(unpatchify(patches), generator, shared))
         # one colour map for the 16 pixels of a patch: a block-diagonal 48x48 product keeps the matrix units busy
         matrix = torch.zeros(groups, PATCH**2, 3, PATCH**2, 3, dtype=dtype, device=device)
         matrix.diagonal(dim1=1, dim2=3).copy_(draws[:, :, :3].transpose(1, 2)[..., None])
@@ -107,10 +107,15 @@ class Augmentation(nn.Module):
         colour = torch.where(column(uniform[:, 4] < self.grayscale), self.to_luma @ colour, colour)
         return (self.normalize @ colour @ self.from_bytes)[:, :3]
 
-    def blur(self, frames: Tensor, generator: torch.Generator) -> Tensor:
-        """5x5 Gaussian blur of frames [N, frame_stack, H, W, 3], one standard deviation per sample; returns float32."""
+    def blur(self, frames: Tensor, generator: torch.Generator, shared: int = 1) -> Tensor:
+        """5x5 Gaussian blur of frames [N, frame_stack, H, W, 3], one standard deviation per sample; returns float32.
+
+        ``shared`` consecutive samples are one window, of which data parallelism gives each process its share.
+        """
         low, high = self.blur_sigma
-        sigma = low + (high - low) * torch.rand(len(frames), 1, generator=generator).to(frames.device)
+        rank, world_size = rank_and_world_size()
+        uniform = torch.rand(len(frames) // shared * world_size, shared, generator=generator)[rank::world_size]
+        sigma = low + (high - low) * uniform.reshape(-1, 1).to(frames.device)
         weight = torch.exp(-(torch.arange(-2, 3, device=frames.device) ** 2) / (2 * sigma**2))
         weight = weight / weight.sum(1, keepdim=True)
         planes = frames.movedim(4, 2).float()

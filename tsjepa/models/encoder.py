@@ -40,21 +40,25 @@ def unpatchify(patches: Tensor) -> Tensor:
 
 
 class ResidualBlock(nn.Module):
-    """Two 3x3 convolutions with batch normalisation and a projected shortcut (He et al., 2016)."""
+    """Two 3x3 convolutions with batch normalisation and a projected shortcut (He et al., 2016).
+
+    The shortcut takes every ``stride``-th pixel, then a 1x1 convolution of stride 1. A strided 1x1 convolution is the
+    same map, but oneDNN (torch 2.13 on a CPU) writes past the end of its weights' gradient with fewer than 8 input
+    channels in channels-last format.
+    """
 
     def __init__(self, in_channels: int, out_channels: int, stride: int) -> None:
         super().__init__()
+        self.stride = stride
         self.conv1 = nn.Conv2d(in_channels, out_channels, 3, stride, 1, bias=False)
         self.norm1 = nn.BatchNorm2d(out_channels)
         self.conv2 = nn.Conv2d(out_channels, out_channels, 3, 1, 1, bias=False)
         self.norm2 = nn.BatchNorm2d(out_channels)
-        self.shortcut = nn.Sequential(
-            nn.Conv2d(in_channels, out_channels, 1, stride, bias=False), nn.BatchNorm2d(out_channels)
-        )
+        self.shortcut = nn.Sequential(nn.Conv2d(in_channels, out_channels, 1, bias=False), nn.BatchNorm2d(out_channels))
 
     def forward(self, x: Tensor) -> Tensor:
         y = F.relu(self.norm1(self.conv1(x)))
-        return F.relu(self.norm2(self.conv2(y)) + self.shortcut(x))
+        return F.relu(self.norm2(self.conv2(y)) + self.shortcut(x[:, :, :: self.stride, :: self.stride]))
 
 
 class Encoder(nn.Module):
@@ -102,6 +106,12 @@ class Encoder(nn.Module):
         self.register_buffer("pixel_shift", (-mean / std).repeat(PATCH**2 * frame_stack), persistent=False)
         self.to(memory_format=torch.channels_last)
 
+    @property
+    def memory_format(self) -> torch.memory_format:
+        """Of the weights, and so of the pictures: ``encoder.to(memory_format=...)`` changes both, and no number."""
+        is_last = self.stages[0].conv1.weight.is_contiguous(memory_format=torch.channels_last)
+        return torch.channels_last if is_last else torch.contiguous_format
+
     def normalize(self, frames: Tensor) -> Tensor:
         """uint8 frames [N, frame_stack, H, W, 3] to normalised patches [N, H / 4, W / 4, 48 * frame_stack]."""
         # in place: at 64 observations the two buffers that this spares cost as much as a third of the network
@@ -109,7 +119,8 @@ class Encoder(nn.Module):
 
     def embed(self, patches: Tensor) -> Tensor:
         """Normalised patches [N, H / 4, W / 4, 48 * frame_stack] to embeddings [N, d] of unit length, float32."""
-        features = self.stages(self.stem(patches.permute(0, 3, 1, 2))).permute(0, 2, 3, 1).flatten(1)
+        picture = patches.permute(0, 3, 1, 2).contiguous(memory_format=self.memory_format)
+        features = self.stages(self.stem(picture)).permute(0, 2, 3, 1).flatten(1)
         return F.normalize(self.project(features).float(), dim=-1)
 
     def forward(self, frames: Tensor) -> Tensor:

@@ -9,7 +9,7 @@ import yaml
 from tensordict import TensorDictBase
 
 from tsjepa.data.module import Trajectories
-from tsjepa.paper.loops import command_rows, expert_embeddings, load, loop_rows
+from tsjepa.paper.rows import command_rows, expert_embeddings, load, loop_rows
 from tsjepa.support.recipes import find_recipe
 from tsjepa.training.imitation_data import ImitationPairs
 from tsjepa.training.monitor import effective_rank
@@ -73,7 +73,7 @@ def trained_rows(point: dict, loops: list[dict]) -> list[dict]:
             new = loop_rows(common | loop)
             if loop["update_every"] == 1 and not loop.get("loss"):
                 errors = command_rows(common | loop)
-                ranks = [float(effective_rank(expert_embeddings(common | loop, row["seed"]))) for row in new]
+                ranks = [float(effective_rank(expert_embeddings(common, row["seed"])[0])) for row in new]
                 new = [
                     row | error | {"effective_rank": rank} for row, error, rank in zip(new, errors, ranks, strict=True)
                 ]

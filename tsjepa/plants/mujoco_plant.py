@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from tsjepa.plants.lens import View
+from tsjepa.plants.plant import Plant
 from tsjepa.plants.streams import COLOR, NOISE, REFERENCE, START, normals, uniforms
 from tsjepa.support.spec import PlantSpec
 
@@ -22,7 +23,7 @@ DARKEST = 0.25  # of a colour's components, so that it shows on black
 DIFFERENCE = 1e-5  # of the finite differences, in the state's and the command's units
 
 
-class MujocoPlant:
+class MujocoPlant(Plant):
     """The part of a plant that follows from a MuJoCo model; see :class:`tsjepa.plants.plant.Plant` for its methods.
 
     The physics is [N, nq + nv + na]: joint positions, velocities, activations. Its scene is the positions, then RGB of
@@ -39,8 +40,6 @@ class MujocoPlant:
     Raises:
         ValueError: a half-width or a standard deviation that is negative, not finite, or not one for each.
     """
-
-    normaliser = "expert"
 
     def __init__(
         self,
@@ -116,14 +115,6 @@ class MujocoPlant:
         """See :meth:`tsjepa.plants.renderer.Renderer.metadata`."""
         return self.renderer.metadata()
 
-    def references(self, seed, device, episode, slot) -> np.ndarray | None:
-        """None: nothing is tracked but the goal itself."""
-        return None
-
-    def goals(self, episodes: int, slots: int, generator: torch.Generator) -> Tensor | None:
-        """None: trajectories have the plant's own goal."""
-        return None
-
     def linear(self) -> tuple[Tensor, Tensor] | None:
         """Central differences about zero, for machines whose state is their physics."""
         size, width = self.model.nq + self.model.nv, self.spec.action_dim
@@ -132,9 +123,6 @@ class MujocoPlant:
         after = self.stepper.advance(points[:, :size], points[:, size:])
         jacobian = torch.from_numpy((after[: size + width] - after[size + width :]).T / (2 * DIFFERENCE))
         return jacobian[:, :size].contiguous(), jacobian[:, size:].contiguous()
-
-    def experts(self) -> dict[str, nn.Module]:
-        raise NotImplementedError
 
 
 def place_camera(model: mujoco.MjModel, view: View) -> None:
