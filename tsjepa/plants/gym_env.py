@@ -9,12 +9,13 @@ import numpy as np
 from torch import Tensor, nn
 
 from tsjepa.plants.mujoco_plant import check_action
+from tsjepa.plants.plant import Plant
 from tsjepa.plants.policies import Rest, load_policy
 from tsjepa.plants.streams import START, uniforms
 from tsjepa.support.spec import PlantSpec
 
 
-class Gym:
+class Gym(Plant):
     """A Gymnasium environment with a continuous command: its observation is the state, its reward the score.
 
     What it loses: its simulator keeps its own state, so that a machine can only go on from where it is (no branch of a
@@ -36,8 +37,6 @@ class Gym:
         ModuleNotFoundError: gymnasium is not installed.
         ValueError: the environment does not render, has no continuous command with limits, or does not tell its slot.
     """
-
-    normaliser = "expert"
 
     def __init__(
         self,
@@ -148,9 +147,6 @@ class Gym:
         """What made the pictures."""
         return {"environment": self.env_id, "height": self.spec.frame[0], "width": self.spec.frame[1]}
 
-    def references(self, seed, device, episode, slot) -> None:
-        """None."""
-
     def score(self, state, reference=None):
         """The reward, scaled."""
         return state[..., -2]
@@ -162,12 +158,6 @@ class Gym:
     def experts(self) -> dict[str, nn.Module]:
         """The one that was given."""
         return {"expert": self.expert}
-
-    def goals(self, episodes, slots, generator) -> None:
-        """None."""
-
-    def linear(self) -> None:
-        """None."""
 
 
 class _OnObservation(nn.Module):
