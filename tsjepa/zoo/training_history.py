@@ -10,7 +10,6 @@ import yaml
 from tsjepa.data.storage import METADATA
 from tsjepa.models import entries
 
-
 KEPT = ("plant", "camera", "slots", "seed", "sha256")  # of a data set's metadata
 
 
