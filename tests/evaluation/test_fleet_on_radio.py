@@ -5,17 +5,17 @@ from dataclasses import replace
 import pytest
 import torch
 from tensordict import TensorDict
+from tsjepa.envs.update_codec import fitted_codec
+from tsjepa.evaluation.closed_loop import SemanticPolicy, run, true_state_policy
+from tsjepa.evaluation.fleet import build_fleet, optimal_scores, run_fleet
+from tsjepa.plants.expert import Expert
 
 from tsjepa.envs import FleetEnv, Renderer
 from tsjepa.envs.settings import Plants, Radio
 from tsjepa.envs.transforms import Channel, Codec, Estimator, Scheduler, Uplink
-from tsjepa.envs.update_codec import fitted_codec
-from tsjepa.evaluation.closed_loop import SemanticPolicy, run, true_state_policy
-from tsjepa.evaluation.fleet import build_fleet, optimal_scores, run_fleet
 from tsjepa.evaluation.metrics import normalized_score
 from tsjepa.evaluation.simulate import device_rows, summary
 from tsjepa.models import Architecture, SemanticController
-from tsjepa.plants.expert import Expert
 from tsjepa.radio.codecs import AffineCodec, FloatCodec
 
 PLANTS = Plants(slots=25)

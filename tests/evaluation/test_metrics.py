@@ -1,10 +1,10 @@
 import pytest
 import torch
 from scipy import stats
+from tsjepa.plants.score import has_failed, in_box
 
 from tsjepa.evaluation.evaluate import score_by_slot, summary
 from tsjepa.evaluation.metrics import Run, interval, normalized_score
-from tsjepa.plants.score import has_failed, in_box
 
 
 def make_run() -> Run:

@@ -9,11 +9,11 @@ import pytest
 import tiny_controller
 import torch
 from torch import nn
+from tsjepa.envs.embedding_codec import embedding_codec
+from tsjepa.evaluation.closed_loop import SemanticPolicy, Starts, run
 
 from tsjepa import cli
 from tsjepa.envs import Renderer
-from tsjepa.envs.embedding_codec import embedding_codec
-from tsjepa.evaluation.closed_loop import SemanticPolicy, Starts, run
 from tsjepa.models import entries
 from tsjepa.zoo.deploy import deploy, graphs
 

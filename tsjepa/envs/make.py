@@ -165,7 +165,7 @@ def far_end(
         between = between or ("predict" if controller.has_predictor else "hold")
         if between != "predict":
             return HoldCommand(between, rest)
-        return Estimator(controller.predict, _sent_as(radio), blend, unit_length=True)
+        return Estimator(at_weights(controller, controller.predict), _sent_as(radio), blend, unit_length=True)
     if controller in (HOLD, ZERO):
         return HoldCommand(controller, rest)
     if controller == LINEAR:
@@ -175,13 +175,33 @@ def far_end(
         linear = linear_model(*model)
         return Estimator(lambda state, action: linear(state, action).clamp(-FARTHEST, FARTHEST), blend=blend)
     if controller == EXACT:
+        if not state_is_physics(plant):
+            raise ValueError("The state of this plant is not all of its physics, so it cannot be predicted exactly.")
         return Estimator(partial(_exact, plant), blend=blend)
     raise ValueError(f"There is no controller {controller!r}; choose {', '.join(ON_STATE)} or a model.")
+
+
+def at_weights(model: nn.Module, method: Callable) -> Callable:
+    """``method`` of ``model`` for tensors that lie anywhere: computed where its weights lie, the result brought back."""
+
+    def call(first: Tensor, *others: Tensor | None) -> Tensor:
+        weight = next(model.parameters(), first)
+        given = (tensor if tensor is None else tensor.to(weight.device) for tensor in (first, *others))
+        return method(*given).to(first.device)
+
+    return call
 
 
 def _sent_as(radio: Radio) -> str:
     """Key of what the controller has received as an embedding."""
     return "embedding" if sends_frames(radio.codec) else "received"
+
+
+def state_is_physics(plant: Plant) -> bool:
+    """Whether a state is all that MuJoCo needs to compute the next one."""
+    device = np.zeros(1, np.int64)
+    physics = plant.start(0, device, device)
+    return hasattr(plant, "stepper") and np.array_equal(plant.state(physics), physics)
 
 
 def _exact(plant: Plant, state: Tensor, action: Tensor) -> Tensor:
@@ -206,9 +226,10 @@ def make_policy(
         plant, controller, radio, between: as of :func:`make_env`.
         expert: of a controller on the state; by default the plant's first.
     """
-    law: Callable = (
-        controller.act if isinstance(controller, Controller) else expert or next(iter(plant.experts().values()))
-    )
+    if isinstance(controller, Controller):
+        law = at_weights(controller, controller.act)
+    else:
+        law = expert or next(iter(plant.experts().values()))
     holds = isinstance(far_end(controller, plant, radio, between=between), HoldCommand)
     reads = (_sent_as(radio) if isinstance(controller, Controller) else "received") if holds else "belief"
     rest = torch.tensor(np.clip(0.0, plant.spec.action_low, plant.spec.action_high), dtype=torch.float32)

@@ -27,6 +27,7 @@ FORMAT = 2
 FILES = ("config.yaml", "model.safetensors", "metrics.json", "README.md", "manifest.json")
 CONFIG, WEIGHTS, METRICS, CARD, MANIFEST = FILES
 HASHED = (CONFIG, WEIGHTS, METRICS)
+LFS_POINTER = b"version https://git-lfs"
 WEIGHT_DTYPES = {"float32": torch.float32, "float16": torch.float16}
 
 
@@ -89,7 +90,10 @@ def verify(folder: Path, sha256: str | None = None) -> None:
         path = folder / name
         if not path.is_file():
             raise DamagedEntryError(f"{path} is missing; fetch the entry anew.")
-        if hashlib.sha256(path.read_bytes()).hexdigest() != digest:
+        content = path.read_bytes()
+        if content.startswith(LFS_POINTER):
+            raise DamagedEntryError(f"{path} is a pointer of Git LFS instead of the file itself: run `git lfs pull`.")
+        if hashlib.sha256(content).hexdigest() != digest:
             raise DamagedEntryError(f"{path} is not the file that the manifest names; fetch the entry anew.")
 
 

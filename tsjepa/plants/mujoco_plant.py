@@ -13,7 +13,7 @@ from torch import Tensor
 
 from tsjepa.plants.lens import View
 from tsjepa.plants.plant import Plant
-from tsjepa.plants.streams import COLOR, NOISE, START, normals, uniforms
+from tsjepa.plants.streams import COLOR, NOISE, REFERENCE, START, normals, uniforms
 from tsjepa.support.spec import PlantSpec
 
 if TYPE_CHECKING:  # training from a data set needs the specs and experts of this room, but not MuJoCo
@@ -30,7 +30,7 @@ class MujocoPlant(Plant):
     every moving geom. A subclass has ``state``, ``score``, ``failed`` and ``experts``, and may replace the rest.
 
     Args:
-        model: whose camera is called "view"; its timestep is set to fill the slot.
+        model: with a camera called "view", or else its first one; its timestep is set to fill the slot.
         spec: names, units and ranges.
         view: the camera.
         start_half_widths: of the uniform start about zero, [nq + nv], in metres, radians and per second.
@@ -81,11 +81,15 @@ class MujocoPlant(Plant):
     def advance(self, physics, action, seed, device, episode, slot) -> np.ndarray:
         """One slot with the command held, then the noise on the velocities."""
         check_action(action, self.spec)
-        physics = self.stepper.advance(physics, action)
+        physics = self.stepper.advance(physics, self.control(action))
         if self.process_noise_std.any():
             nq, nv = self.model.nq, self.model.nv
             physics[:, nq : nq + nv] += self.process_noise_std * normals(seed, NOISE, device, episode, slot, nv)
         return physics
+
+    def control(self, action: np.ndarray) -> np.ndarray:
+        """What the model's actuators [N, nu] are given for commands [N, m]."""
+        return action
 
     def scene(self, physics, seed, device, episode) -> np.ndarray:
         """Joint positions, then RGB of every moving geom."""
@@ -122,10 +126,13 @@ class MujocoPlant(Plant):
 
 
 def place_camera(model: mujoco.MjModel, view: View) -> None:
-    """Points the model's camera "view"."""
-    camera = model.camera("view").id
+    """Fixes the model's camera "view" (or its first) to the world."""
+    from tsjepa.plants.renderer import view_camera
+
+    camera = view_camera(model)
+    model.cam_bodyid[camera], model.cam_mode[camera] = 0, 0
     model.cam_pos[camera], model.cam_quat[camera] = view.position, view.quaternion()
-    model.cam_fovy[camera] = view.fovy
+    model.cam_fovy[camera], model.cam_ipd[camera] = view.fovy, view.eyes
 
 
 def check_action(action: np.ndarray, spec: PlantSpec) -> None:
@@ -171,6 +178,13 @@ def changing_goals(
         held = torch.where(change, low + (high - low) * torch.rand(episodes, len(low), generator=generator), held)
         goals.append(held)
     return torch.stack(goals, 1).repeat_interleave(hold_slots, 1)[:, :slots]
+
+
+def jumping_set_point(
+    seed: int, device: np.ndarray, episode: np.ndarray, slot: np.ndarray, step: float, hold_slots: int
+) -> np.ndarray:
+    """Set-points [N, 1] that are drawn anew, plus or minus ``step``, every ``hold_slots`` slots."""
+    return step * np.sign(uniforms(seed, REFERENCE, device, episode, slot // hold_slots, 1) - 0.5)
 
 
 def _positive(name: str, value: float | Sequence[float], count: int) -> np.ndarray:

@@ -13,6 +13,7 @@ import numpy as np
 from tsjepa.plants.lens import Lens, View, rectangles
 from tsjepa.support.gl import missing_backend_message
 
+DEFAULT_RGBA = (0.5, 0.5, 0.5, 1.0)  # of a geom that names no colour
 DISABLED = ("SHADOW", "REFLECTION", "SKYBOX", "FOG", "HAZE")
 
 
@@ -21,15 +22,17 @@ def moving_geoms(model: mujoco.MjModel) -> list[int]:
     return [geom for geom in range(model.ngeom) if model.body_weldid[model.geom_bodyid[geom]] != 0]
 
 
+def view_camera(model: mujoco.MjModel) -> int:
+    """Index of the camera called "view", or of the first one."""
+    return max(0, mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_CAMERA, "view"))
+
+
 def geom_colors(model: mujoco.MjModel, geoms: list[int]) -> np.ndarray:
-    """RGB float32 [len(geoms), 3] that the model gives them, by material where they have one."""
-    materials = model.geom_matid[geoms]
-    return np.stack(
-        [
-            model.mat_rgba[material, :3] if material >= 0 else model.geom_rgba[geom, :3]
-            for geom, material in zip(geoms, materials, strict=True)
-        ]
-    ).astype(np.float32)
+    """RGB float32 [len(geoms), 3] as MuJoCo takes it: the geom's own, unless that is the default and it has a material."""
+    colors = model.geom_rgba[geoms].copy()
+    plain = (colors == DEFAULT_RGBA).all(axis=1) & (model.geom_matid[geoms] >= 0)
+    colors[plain] = model.mat_rgba[model.geom_matid[geoms][plain]]
+    return colors[:, :3].astype(np.float32)
 
 
 def _release(gl: mujoco.GLContext, context: mujoco.MjrContext) -> None:
@@ -179,9 +182,11 @@ class Renderer:
         for flag in DISABLED:
             self._scene.flags[getattr(mujoco.mjtRndFlag, f"mjRND_{flag}")] = 0
         camera = mujoco.MjvCamera()
-        camera.type, camera.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, self.model.camera("view").id
+        camera.type, camera.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, view_camera(self.model)
         mujoco.mj_forward(self.model, self._data)
         option = mujoco.MjvOption()
+        # of all that moves only geoms are drawn again in every frame
+        option.sitegroup[:], option.tendongroup[:], option.skingroup[:] = 0, 0, 0
         mujoco.mjv_updateScene(
             self.model, self._data, option, None, camera, mujoco.mjtCatBit.mjCAT_ALL.value, self._scene
         )

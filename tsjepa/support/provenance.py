@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import inspect
 import os
 import subprocess
 import sys
@@ -43,6 +45,23 @@ def commit_of(folder: Path) -> str | None:
     commit = _git(folder, "describe", "--always", "--abbrev=10", "--exclude=*")
     changes = _git(folder, "status", "--porcelain", "--", *(f":/{part}" for part in CODE))
     return f"{commit}-dirty" if commit and changes else commit
+
+
+def code_hash(*others: object) -> str:
+    """SHA-256 over this package's source files and those that define ``others``, functions and classes of the user's.
+
+    Unlike a commit it also tells two states of a checkout apart that nobody has committed.
+    """
+    package = Path(__file__).parent.parent
+    files = {*package.rglob("*.py"), *(Path(inspect.getfile(other)) for other in others)}
+    digest = hashlib.sha256()
+    for file in sorted(files):
+        content = file.read_bytes()
+        digest.update(
+            f"{file.relative_to(package) if file.is_relative_to(package) else file.name} {len(content)} ".encode()
+        )
+        digest.update(content)
+    return digest.hexdigest()
 
 
 def _git(folder: Path, *arguments: str) -> str | None:

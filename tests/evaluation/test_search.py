@@ -1,7 +1,6 @@
 """The search for the largest fleet, on score curves that are known."""
 
 import pytest
-
 from tsjepa.evaluation.fleet_search import crossing, largest, search, table
 
 LIMITS = {"channel_aware": 47, "round_robin": 23, "oracle": 10_000, "none": 0}
