@@ -27,6 +27,8 @@ LIGHTNING_COMMANDS = {
 }
 COMMANDS = {
     "collect": ("tsjepa.data.collect:collect", "record a data set of frames and commands from the plant"),
+    "inspect": ("tsjepa.data.inspect:inspect_recording", "say what is in a recording or a radio trace of others"),
+    "import": ("tsjepa.data.importer:import_recording", "make a data set from a recording of others"),
     "evaluate": ("tsjepa.evaluation.evaluate:evaluate", "close the loop on held-out starts and print the table"),
     "simulate": ("tsjepa.evaluation.simulate:simulate", "run a fleet of plants that share a radio"),
     "figures": ("tsjepa.paper.command:figures", "redraw the paper's figures, or run their sweeps"),
