@@ -23,9 +23,9 @@ from tsjepa.data.lerobot_layout import (
     write_tasks,
 )
 from tsjepa.data.lerobot_stats import Statistics
-from tsjepa.data.readers.episode import optional
 from tsjepa.data.storage import open_split, read_metadata
 from tsjepa.support.files import replace_folder
+from tsjepa.support.foreign import optional
 
 
 def export_data(

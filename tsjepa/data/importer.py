@@ -13,10 +13,10 @@ import numpy as np
 from tsjepa.data.clock import command_lag
 from tsjepa.data.import_plan import Part, Plan, plan_import
 from tsjepa.data.readers import Frames, Skipped, Streams, open_recording
-from tsjepa.data.readers.episode import reason
 from tsjepa.data.report import import_report, import_table
 from tsjepa.data.writing import Trajectory, write_data_set
 from tsjepa.support.checks import at_least, within
+from tsjepa.support.foreign import reason
 
 BLOCK_BYTES = 32 << 20  # of decoded pictures in memory at a time
 

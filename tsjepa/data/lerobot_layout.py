@@ -7,7 +7,7 @@ from pathlib import Path
 
 from tensordict import TensorDict
 
-from tsjepa.data.readers.episode import optional
+from tsjepa.support.foreign import optional
 
 CAMERA = "observation.images.view"
 VERSION = "v3.0"

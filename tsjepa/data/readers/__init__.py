@@ -6,7 +6,8 @@ import importlib
 import os
 from pathlib import Path
 
-from tsjepa.data.readers.episode import Episode, Frames, Recording, Skipped, Streams, reason
+from tsjepa.data.readers.episode import Episode, Frames, Recording, Skipped, Streams
+from tsjepa.support.foreign import reason
 
 # In the order in which a folder is tried: a folder of videos looks like the least.
 READERS = (

@@ -11,7 +11,7 @@ import numpy as np
 from tsjepa.data.readers.episode import Episode, Skipped, Streams, attempt
 from tsjepa.data.readers.names import units_of
 from tsjepa.data.readers.pictures import ArrayPictures, CodedPictures
-from tsjepa.data.readers.tables import as_seconds
+from tsjepa.support.tables import as_seconds
 
 PICTURES = re.compile(r"(^|/)(pixels|images?|rgb|frames?|video)\d*($|/)|(image|rgb|pixels|cam\w*)\d*$", re.IGNORECASE)
 ACTION = ("action", "actions", "command", "commands", "control", "u")

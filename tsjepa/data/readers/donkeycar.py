@@ -9,10 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
-from tsjepa.data.readers.episode import Episode, Skipped, Streams, attempt, ranges, refuse_pointers
+from tsjepa.data.readers.episode import Episode, Skipped, Streams, attempt, ranges
 from tsjepa.data.readers.names import units_of
 from tsjepa.data.readers.pictures import natural, picture_files
-from tsjepa.data.readers.tables import read_json_lines
+from tsjepa.support.foreign import refuse_pointers
+from tsjepa.support.tables import read_json_lines
 
 IMAGE = "image_array"
 

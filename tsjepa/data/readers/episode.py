@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import importlib
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import ModuleType
 from typing import Protocol
 
 import numpy as np
 
+from tsjepa.support.foreign import reason
+
 UNKNOWN = "unknown"
 MOST_PIXELS = 8192 * 8192  # of one picture: a header that claims more is damaged, and its picture would fill the memory
-POINTER = b"version https://git-lfs.github.com/spec/"
 
 
 class Frames(ABC):
@@ -58,6 +57,9 @@ class Episode:
         times: seconds of the rows' own clock [R], or None.
         paired: the format says that row i belongs to picture i.
         notes: what is odd about it, one sentence each.
+
+    Raises:
+        ValueError: commands, states and times are not equally many.
     """
 
     name: str
@@ -71,6 +73,11 @@ class Episode:
     times: np.ndarray | None = None
     paired: bool = False
     notes: list[str] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        for what, column in (("states", self.state), ("times", self.times)):
+            if column is not None and len(column) != len(self.action):
+                raise ValueError(f"it has {len(self.action)} commands and {len(column)} {what}.")
 
 
 @dataclass
@@ -126,21 +133,6 @@ class Recording(Protocol):
         """Every episode in its order, one at a time."""
 
 
-def optional(module: str) -> ModuleType:
-    """A module of the optional group ``data``.
-
-    Raises:
-        ModuleNotFoundError: with the sentence that says what to install.
-    """
-    try:
-        return importlib.import_module(module)
-    except ModuleNotFoundError as error:
-        package = module.split(".")[0]
-        raise ModuleNotFoundError(
-            f"This recording needs the package {package}: install it with `pip install 'tsjepa[data]'`."
-        ) from error
-
-
 def attempt(name: str, read: Callable[[], Episode]) -> Episode | Skipped:
     """``read()``, or why it failed: libraries that meet a damaged file raise whatever they like."""
     try:
@@ -149,36 +141,6 @@ def attempt(name: str, read: Callable[[], Episode]) -> Episode | Skipped:
         raise
     except Exception as error:
         return Skipped(name, reason(error))
-
-
-def reason(error: BaseException) -> str:
-    """One line for an exception of a library or of this package."""
-    text = " ".join(str(error.args[0] if isinstance(error, KeyError) and error.args else error).split())
-    text = text.rstrip(".")
-    if isinstance(error, ValueError) and text:
-        return text + "."
-    return f"{type(error).__name__}: {text}." if text else f"{type(error).__name__}."
-
-
-def is_pointer(path: Path) -> bool:
-    """Whether the file is a Git LFS pointer, that is a few lines of text in place of the data."""
-    with path.open("rb") as file:
-        return file.read(len(POINTER)) == POINTER
-
-
-def refuse_pointer(path: Path) -> None:
-    """Raises ValueError where the file is a Git LFS pointer."""
-    if is_pointer(path):
-        raise ValueError(f"{path.name} is a Git LFS pointer, not the data: run `git lfs pull` in its repository.")
-
-
-def refuse_pointers(files: Sequence[Path]) -> None:
-    """Raises ValueError where every one of ``files`` is a Git LFS pointer."""
-    if files and all(is_pointer(file) for file in files):
-        raise ValueError(
-            f"{files[0].name} is a Git LFS pointer, not the data, and so are all {len(files)} files of its kind: run "
-            "`git lfs pull` in their repository."
-        )
 
 
 def ranges(numbers: Sequence[int], most: int = 6) -> str:

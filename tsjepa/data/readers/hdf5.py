@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from tsjepa.data.readers.arrays import ArrayRecording
-from tsjepa.data.readers.episode import Episode, Skipped, Streams, attempt, optional, refuse_pointers
+from tsjepa.data.readers.episode import Episode, Skipped, Streams, attempt
 from tsjepa.data.readers.pictures import natural
+from tsjepa.support.foreign import optional, refuse_pointers
 
 SUFFIXES = (".hdf5", ".h5", ".he5")
 BEST_RATIO = 1100  # of gzip on zeros; a data set that claims more than this times its bytes was never written

@@ -8,11 +8,12 @@ from pathlib import Path
 import numpy as np
 
 from tsjepa.data.readers import lerobot_v2, lerobot_v3
-from tsjepa.data.readers.episode import Episode, Frames, Skipped, Streams, attempt, optional, refuse_pointers
+from tsjepa.data.readers.episode import Episode, Frames, Skipped, Streams, attempt
 from tsjepa.data.readers.names import flat_names, units_of
 from tsjepa.data.readers.pictures import CodedPictures, natural
-from tsjepa.data.readers.tables import parquet_rows, read_json, read_table
 from tsjepa.data.readers.video import Video
+from tsjepa.support.foreign import optional, refuse_pointers
+from tsjepa.support.tables import parquet_rows, read_json, read_table
 
 PREFIX = "observation.images."
 

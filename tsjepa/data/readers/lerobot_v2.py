@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tsjepa.data.readers.episode import Episode, Skipped, ranges, reason
-from tsjepa.data.readers.tables import read_json_lines
+from tsjepa.data.readers.episode import Episode, Skipped, ranges
+from tsjepa.support.foreign import reason
+from tsjepa.support.tables import read_json_lines
 
 if TYPE_CHECKING:
     from tsjepa.data.readers.lerobot import LeRobot

@@ -10,8 +10,8 @@ import numpy as np
 
 from tsjepa.data.readers.episode import Episode, Skipped
 from tsjepa.data.readers.pictures import natural
-from tsjepa.data.readers.tables import Table, read_table
 from tsjepa.data.readers.video import video_index
+from tsjepa.support.tables import Table, read_table
 
 if TYPE_CHECKING:
     from tsjepa.data.readers.lerobot import LeRobot

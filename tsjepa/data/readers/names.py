@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+
+import numpy as np
 
 from tsjepa.data.readers.episode import UNKNOWN
+from tsjepa.support.tables import Table, split_unit
 
 SUFFIXES = {
     "m_s2": "m/s^2",
@@ -25,16 +28,8 @@ SUFFIXES = {
     "a": "A",
     "rpm": "rpm",
 }
-SECONDS = {"ns": 1e-9, "us": 1e-6, "ms": 1e-3, "s": 1.0, "sec": 1.0, "seconds": 1.0}
-TIME = re.compile(r"^_?(time|timestamp|stamp|t|datetime|elapsed)$", re.IGNORECASE)
 ACTION = re.compile(r"^(action|actions|command|commands|cmd|control|u|ctrl)($|[\W_\d])", re.IGNORECASE)
 STATE = re.compile(r"^(observation\.state|state|states|obs|qpos|qvel|position|velocity|x)($|[\W_\d])", re.IGNORECASE)
-
-
-def split_unit(name: str) -> tuple[str, str | None]:
-    """``"delay(ms)"`` or ``"delay [ms]"`` as ("delay", "ms"); ("delay", None) without brackets."""
-    match = re.fullmatch(r"\s*(.*?)\s*[(\[]\s*([^)\]]*?)\s*[)\]]\s*", name)
-    return (match[1], match[2] or None) if match else (name.strip(), None)
 
 
 def unit_of(name: str) -> str:
@@ -49,21 +44,6 @@ def unit_of(name: str) -> str:
 def units_of(names: Sequence[str]) -> list[str]:
     """:func:`unit_of` of each."""
     return [unit_of(name) for name in names]
-
-
-def time_scale(name: str) -> float | None:
-    """Seconds in one unit of a time column, from its name (``t_ms``, ``stamp(ns)``, ``time``); None: not a time.
-
-    A name without a unit counts in seconds.
-    """
-    bare, unit = split_unit(name)
-    if unit is None:
-        head, _, tail = bare.rpartition("_")
-        if head and tail.lower() in SECONDS:
-            bare, unit = head, tail
-    if not TIME.match(bare):
-        return None
-    return SECONDS.get((unit or "s").lower())
 
 
 def flat_names(names: object, width: int, stem: str) -> list[str]:
@@ -84,3 +64,38 @@ def flat_names(names: object, width: int, stem: str) -> list[str]:
     if len(flat) == width and len(set(flat)) == width:
         return flat
     return [f"{stem}_{column}" for column in range(width)]
+
+
+def columns_like(
+    table: Table, wanted: Iterable[str] | None, kind: str, skip: Iterable[str] = ()
+) -> tuple[list[str], np.ndarray]:
+    """Names and values float32 [rows, width] of the command's or the state's columns.
+
+    Args:
+        table: the columns.
+        wanted: their names, or None to take those whose names say so.
+        kind: "action" or "state".
+        skip: columns that are something else.
+
+    Raises:
+        ValueError: a wanted column is missing or holds words.
+    """
+    if wanted is None:
+        pattern = ACTION if kind == "action" else STATE
+        wanted = [
+            name
+            for name, column in table.items()
+            if pattern.match(name) and name not in skip and column.dtype != object
+        ]
+    names, parts = [], []
+    for name in wanted:
+        if name not in table:
+            raise ValueError(f"there is no column {name}; there are {', '.join(table)}.")
+        if table[name].dtype == object:
+            raise ValueError(f"the column {name} holds words instead of numbers.")
+        column = table[name].astype(np.float32)
+        column = column[:, None] if column.ndim == 1 else column
+        names += [name] if column.shape[1] == 1 else [f"{name}_{place}" for place in range(column.shape[1])]
+        parts.append(column)
+    rows = len(next(iter(table.values()))) if table else 0
+    return names, np.concatenate(parts, axis=1) if parts else np.zeros((rows, 0), np.float32)

@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from tsjepa.data.readers.arrays import ArrayRecording
-from tsjepa.data.readers.episode import Episode, Skipped, Streams, attempt, refuse_pointers
+from tsjepa.data.readers.episode import Episode, Skipped, Streams, attempt
 from tsjepa.data.readers.pictures import natural
+from tsjepa.support.foreign import refuse_pointers
 
 BEST_RATIO = 1032  # of deflate: a member that claims more than this times its bytes is damaged
 

@@ -7,18 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from tsjepa.data.readers.episode import (
-    Episode,
-    Frames,
-    Skipped,
-    Streams,
-    attempt,
-    check_picture_size,
-    optional,
-    refuse_pointers,
-)
+from tsjepa.data.readers.episode import Episode, Frames, Skipped, Streams, attempt, check_picture_size
 from tsjepa.data.readers.names import units_of
 from tsjepa.data.readers.pictures import decode_picture
+from tsjepa.support.foreign import optional, refuse_pointers
 
 SUFFIXES = (".db3", ".mcap", ".bag")
 IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")

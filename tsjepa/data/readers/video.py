@@ -9,7 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from tsjepa.data.readers.episode import Frames, check_picture_size, optional, refuse_pointer
+from tsjepa.data.readers.episode import Frames, check_picture_size
+from tsjepa.support.foreign import optional, refuse_pointer
 
 SUFFIXES = (".mp4", ".mkv", ".avi", ".mov", ".webm", ".m4v")
 SEEK_BEYOND = 120  # frames: decoding that many costs more than a jump to the key frame before the wanted one

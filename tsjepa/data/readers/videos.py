@@ -7,9 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
-from tsjepa.data.readers import pictures, tables, video
-from tsjepa.data.readers.episode import Episode, Frames, Skipped, Streams, attempt, refuse_pointers
-from tsjepa.data.readers.names import units_of
+from tsjepa.data.readers import names, pictures, video
+from tsjepa.data.readers.episode import Episode, Frames, Skipped, Streams, attempt
+from tsjepa.support import tables
+from tsjepa.support.foreign import refuse_pointers
+
+EPISODES = ("episode_index", "episode", "episode_id", "video", "file", "filename", "clip")
 
 
 class Videos:
@@ -65,31 +68,33 @@ class Videos:
         table = self._rows_of(source)
         times = tables.time_column(table, self.streams.time)
         skip = {times[0]} if times else set()
-        action_names, action = tables.columns_like(table, self.streams.action, "action", skip)
+        action_names, action = names.columns_like(table, self.streams.action, "action", skip)
         if not action_names:
             others = [name for name, column in table.items() if column.dtype != object and name not in skip]
             raise ValueError(f"no column is called a command; say which of {', '.join(others)} are (--action).")
-        state_names, state = tables.columns_like(table, self.streams.state, "state", {*skip, *action_names})
+        state_names, state = names.columns_like(table, self.streams.state, "state", {*skip, *action_names})
         return Episode(
             name=source.name,
             frames=self._frames(source, table),
             action=action,
             action_names=action_names,
-            action_units=units_of(action_names),
+            action_units=names.units_of(action_names),
             state=state if state_names else None,
             state_names=state_names,
-            state_units=units_of(state_names),
+            state_units=names.units_of(state_names),
             times=times[1] if times else None,
             paired=times is None,
         )
 
     def _frames(self, source: Path, table: tables.Table) -> Frames:
         if source in self.folders:
-            names = next((column for name, column in table.items() if name in ("image", "picture", "frame_file")), None)
+            listed = next(
+                (column for name, column in table.items() if name in ("image", "picture", "frame_file")), None
+            )
             files = self.folders[source]
-            if names is not None and names.dtype == object:
+            if listed is not None and listed.dtype == object:
                 known = {file.name: file for file in files}
-                files = [known[name] for name in (Path(str(cell)).name for cell in names) if name in known] or files
+                files = [known[name] for name in (Path(str(cell)).name for cell in listed) if name in known] or files
             return pictures.picture_files(files)
         return video.Video(source)
 
@@ -111,12 +116,12 @@ class Videos:
         table = tables.read_table(own[0])
         if not table or not len(next(iter(table.values()))):
             raise ValueError(f"its table {own[0].name} holds no rows.")
-        key = next((name for name in tables.EPISODE if name in table), None)
+        key = next((name for name in EPISODES if name in table), None)
         if key is None:
             if len(self._sources) > 1 and own[0].stem != stem and own[0].parent != source:
                 raise ValueError(
                     f"{own[0].name} is one table for {len(self._sources)} episodes and has no column "
-                    f"{', '.join(tables.EPISODE[:4])} that tells them apart."
+                    f"{', '.join(EPISODES[:4])} that tells them apart."
                 )
             return table
         rows = self._select(table[key], source, stem, whole=own[0].stem == stem)
@@ -124,8 +129,8 @@ class Videos:
 
     def _select(self, column: np.ndarray, source: Path, stem: str, whole: bool) -> np.ndarray:
         if column.dtype == object:
-            names = {source.name, stem, source.relative_to(self.path).as_posix()}
-            rows = np.flatnonzero([str(cell) in names or Path(str(cell)).name in names for cell in column])
+            own = {source.name, stem, source.relative_to(self.path).as_posix()}
+            rows = np.flatnonzero([str(cell) in own or Path(str(cell)).name in own for cell in column])
         else:
             digits = [part for part in pictures.natural(stem) if part[0] == 0]
             number = digits[-1][1] if digits else self._sources.index(source)

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Iterable, Sequence
+import re
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
-from tsjepa.data.readers.episode import optional, refuse_pointer
-from tsjepa.data.readers.names import ACTION, STATE, time_scale
+from tsjepa.support.foreign import optional, refuse_pointer
 
 SUFFIXES = (".csv", ".tsv", ".parquet", ".jsonl", ".json")
 MOST_ROWS = 50_000_000  # of one file; a Parquet footer may claim any number
-EPISODE = ("episode_index", "episode", "episode_id", "video", "file", "filename", "clip")
 
+SECONDS = {"ns": 1e-9, "us": 1e-6, "ms": 1e-3, "s": 1.0, "sec": 1.0, "seconds": 1.0}
+TIME = re.compile(r"^_?(time|timestamp|stamp|t|datetime|elapsed)$", re.IGNORECASE)
 Table = dict[str, np.ndarray]
 
 
@@ -211,36 +212,22 @@ def as_seconds(stamps: np.ndarray, scale: float) -> np.ndarray:
     return stamps.astype(float) * scale
 
 
-def columns_like(
-    table: Table, wanted: Iterable[str] | None, kind: str, skip: Iterable[str] = ()
-) -> tuple[list[str], np.ndarray]:
-    """Names and values float32 [rows, width] of the command's or the state's columns.
+def time_scale(name: str) -> float | None:
+    """Seconds in one unit of a time column, from its name (``t_ms``, ``stamp(ns)``, ``time``); None: not a time.
 
-    Args:
-        table: the columns.
-        wanted: their names, or None to take those whose names say so.
-        kind: "action" or "state".
-        skip: columns that are something else.
-
-    Raises:
-        ValueError: a wanted column is missing or holds words.
+    A name without a unit counts in seconds.
     """
-    if wanted is None:
-        pattern = ACTION if kind == "action" else STATE
-        wanted = [
-            name
-            for name, column in table.items()
-            if pattern.match(name) and name not in skip and column.dtype != object
-        ]
-    names, parts = [], []
-    for name in wanted:
-        if name not in table:
-            raise ValueError(f"there is no column {name}; there are {', '.join(table)}.")
-        if table[name].dtype == object:
-            raise ValueError(f"the column {name} holds words instead of numbers.")
-        column = table[name].astype(np.float32)
-        column = column[:, None] if column.ndim == 1 else column
-        names += [name] if column.shape[1] == 1 else [f"{name}_{place}" for place in range(column.shape[1])]
-        parts.append(column)
-    rows = len(next(iter(table.values()))) if table else 0
-    return names, np.concatenate(parts, axis=1) if parts else np.zeros((rows, 0), np.float32)
+    bare, unit = split_unit(name)
+    if unit is None:
+        head, _, tail = bare.rpartition("_")
+        if head and tail.lower() in SECONDS:
+            bare, unit = head, tail
+    if not TIME.match(bare):
+        return None
+    return SECONDS.get((unit or "s").lower())
+
+
+def split_unit(name: str) -> tuple[str, str | None]:
+    """``"delay(ms)"`` or ``"delay [ms]"`` as ("delay", "ms"); ("delay", None) without brackets."""
+    match = re.fullmatch(r"\s*(.*?)\s*[(\[]\s*([^)\]]*?)\s*[)\]]\s*", name)
+    return (match[1], match[2] or None) if match else (name.strip(), None)
