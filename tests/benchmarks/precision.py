@@ -1,7 +1,7 @@
 """The chosen precision and memory format beside the others, in one run: a whole training step of the main job in each.
 
 python tests/benchmarks/precision.py --threads 2
-ONEDNN_MAX_CPU_ISA=AVX2 ATEN_CPU_CAPABILITY=avx2 python tests/benchmarks/precision.py --output docs/results/precision-avx2.json
+ONEDNN_MAX_CPU_ISA=AVX2 ATEN_CPU_CAPABILITY=avx2 python tests/benchmarks/precision.py --output FILE
 """
 
 import argparse
