@@ -9,21 +9,14 @@ import pytest
 import tiny_controller
 import torch
 from torch import nn
-from tsjepa.envs.embedding_codec import embedding_codec
-from tsjepa.evaluation.closed_loop import SemanticPolicy, Starts, run
 
 from tsjepa import cli
-<<<<<<< HEAD
-from tsjepa.envs import Renderer
-from tsjepa.models import entries
-=======
 from tsjepa.envs import Radio
 from tsjepa.envs.make import make_policy
 from tsjepa.envs.payload import embedding_codec
 from tsjepa.evaluation.rollouts import Loop, every, run
 from tsjepa.models import AutoencoderController, entries
 from tsjepa.plants import CartPole
->>>>>>> e7981665ab7f9b5744f364f5469b94f72272c2e2
 from tsjepa.zoo.deploy import deploy, graphs
 
 ROWS = (1, 3, 5)
