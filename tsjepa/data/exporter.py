@@ -64,7 +64,7 @@ def export_data(
 
 
 def _write(path: Path, folder: Path, metadata: dict, task: str, codec: str) -> None:
-    slot = float(metadata["sampling_interval"])
+    slot = float((metadata.get("spec") or {}).get("slot") or metadata["sampling_interval"])
     spans, entries, start = {}, [], 0
     whole = Statistics()
     for index, name in enumerate(metadata["splits"]):
@@ -85,7 +85,7 @@ def _write(path: Path, folder: Path, metadata: dict, task: str, codec: str) -> N
     (folder / "meta/stats.json").write_text(json.dumps(whole.summary(), indent=4) + "\n")
     info = {
         "codebase_version": VERSION,
-        "robot_type": metadata.get("plant", "unknown") if isinstance(metadata.get("plant"), str) else "unknown",
+        "robot_type": str((metadata.get("plant") or {}).get("class_path", "unknown")).rpartition(".")[2],
         "total_episodes": len(entries),
         "total_frames": start,
         "total_tasks": 1,

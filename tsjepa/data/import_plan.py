@@ -72,9 +72,9 @@ def plan_import(recording: Recording, slot: float | None = None, offset: float |
             skipped.append(item)
             continue
         try:
-            if ready:
-                _same_columns(ready[0][0], item)
             episode = _without_dead_state(item)
+            if ready:
+                _same_columns(ready[0][0], episode)
             clocks = match_clocks(
                 episode.times,
                 episode.frames.times,

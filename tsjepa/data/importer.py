@@ -92,7 +92,7 @@ def import_recording(
         metadata = {
             "made_by": "tsjepa import",
             "source": {"format": recording.format, "name": Path(path).resolve().name},
-            "splits": {name: {"episodes": len(trajectories)} for name, trajectories in splits.items()},
+            "splits": {name: {"episodes": len(trajectories), "slots": slots} for name, trajectories in splits.items()},
             "sampling_interval": plan.slot,
             "slots": slots,
             "seed": seed,
@@ -258,13 +258,19 @@ def _trajectory(part: Part, pixels: np.ndarray, first: int, slots: int) -> Traje
 
 def _spec(plan: Plan, parts: list[Part], size: tuple[int, int]) -> dict:
     used = np.concatenate([part.action[: len(part.piece.frame) - 1] for part in parts])
+    low, high = used.min(axis=0), used.max(axis=0)
+    # a command that never changed has a range all the same, or nothing could be divided by it
+    low, high = np.where(low < high, low, low - 0.5), np.where(low < high, high, high + 0.5)
+    states = [part.state[: len(part.piece.frame)] for part in parts if part.state is not None]
+    largest = np.max([np.abs(state).max(axis=0) for state in states], axis=0) if states else np.zeros(0)
     return {
         "state_names": plan.state_names,
         "state_units": plan.state_units,
+        "state_scale": np.where(largest > 0, largest, 1.0).tolist(),
         "action_names": plan.action_names,
         "action_units": plan.action_units,
-        "action_low": used.min(axis=0).tolist(),
-        "action_high": used.max(axis=0).tolist(),
+        "action_low": low.tolist(),
+        "action_high": high.tolist(),
         "frame": list(size),
         "slot": plan.slot,
     }

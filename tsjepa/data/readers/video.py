@@ -37,7 +37,6 @@ def video_index(path: Path) -> VideoIndex:
     """
     refuse_pointer(path)
     av = optional("av")
-    av.logging.set_level(av.logging.PANIC)
     try:
         with av.open(str(path)) as container:
             if not container.streams.video:
@@ -124,7 +123,6 @@ class Video(Frames):
         av = optional("av")
         if self._container is None:
             self._container = av.open(str(self.path))
-            self._container.streams.video[0].thread_type = "AUTO"
         stream = self._container.streams.video[0]
         self._container.seek(tick, stream=stream)
         self._frames = self._container.decode(stream)
