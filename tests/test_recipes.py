@@ -59,8 +59,8 @@ def test_a_fit_leaves_a_model_that_loads_a_checkpoint_and_a_log(run, name):
     recipe = run(name)
     model = tsjepa.load(tiny.exported(recipe))
     data = recipe["data"]["init_args"]["path"]
-    assert model.architecture.embedding_dim == tiny.SIZES["embedding_dim"]
-    assert model.architecture.sampling_interval == read_metadata(data)["sampling_interval"]
+    assert model.embedding_dim == tiny.SIZES["embedding_dim"]
+    assert model.spec.slot == read_metadata(data)["sampling_interval"]
     home = Path(tiny.exported(recipe)).parent
     assert (home / "checkpoints" / "last.ckpt").is_file()
     with (home / "metrics.csv").open(newline="") as file:

@@ -74,7 +74,7 @@ def alone(model: torch.nn.Module, renderer, seen: list[Tensor]) -> float:
     """Seconds that drawing and encoding the same pictures takes."""
     start = time.perf_counter()
     for history in seen:
-        qpos = history[:, :: model.architecture.frame_spacing]
+        qpos = history[:, :: model.frame_spacing]
         pictures = torch.from_numpy(renderer.render(qpos.flatten(0, 1).numpy()))
         model.encode(pictures.unflatten(0, qpos.shape[:2]))
     return time.perf_counter() - start
@@ -108,11 +108,12 @@ def measure(name: str, sizes: list[int], batch: int, rounds: int, steps: int, th
         steps: device-steps of a fleet and turn, at least one slot.
         threads: of torch; recorded.
     """
-    from tsjepa.envs import Renderer
     from tsjepa.plants.expert import reference_lqr
 
+    from tsjepa.envs import Renderer
+
     model, renderer = tsjepa.load(name), Renderer()
-    law = reference_lqr(model.architecture.sampling_interval)
+    law = reference_lqr(model.spec.slot)
     fleets = {size: build(size, model, renderer) for size in sizes}
     frames = build(batch, model, renderer).reset()["pixels"]
     matrix = torch.randn(GEMM_SIDE, GEMM_SIDE, generator=torch.Generator().manual_seed(0))

@@ -12,10 +12,10 @@ import time
 
 import torch
 from report import publish
-
-from tsjepa.envs.settings import Plants, Radio
 from tsjepa.envs.update_codec import fitted_codec
 from tsjepa.evaluation.fleet import LINEAR, build_fleet
+
+from tsjepa.envs.settings import Plants, Radio
 
 LOOKS = 100  # at the memory
 

@@ -22,7 +22,7 @@ class LinearFleet(EnvBase):
             state=Unbounded((*shape, 2)),
             qpos=Unbounded((*shape, frame_history, 2)),
             colors=Unbounded((*shape, 2, 3)),
-            count=Unbounded(shape, dtype=torch.int64),
+            slot=Unbounded(shape, dtype=torch.int64),
             shape=shape,
         )
         self.state_spec = self.observation_spec.clone()
@@ -37,21 +37,21 @@ class LinearFleet(EnvBase):
                 "state": state,
                 "qpos": state.unsqueeze(-2).repeat_interleave(self.frame_history, -2),
                 "colors": torch.full((*shape, 2, 3), 0.5),
-                "count": torch.zeros(shape, dtype=torch.int64),
+                "slot": torch.zeros(shape, dtype=torch.int64),
             },
             shape,
         )
 
     def _step(self, tensordict):
         state = tensordict["state"] @ A.mT + tensordict["action"] @ B.mT
-        count = tensordict["count"] + 1
-        done = (count >= self.lengths).unsqueeze(-1)
+        slot = tensordict["slot"] + 1
+        done = (slot >= self.lengths).unsqueeze(-1)
         return TensorDict(
             {
                 "state": state,
                 "qpos": torch.cat((tensordict["qpos"][..., 1:, :], state.unsqueeze(-2)), -2),
                 "colors": tensordict["colors"].clone(),
-                "count": count,
+                "slot": slot,
                 "reward": -state.square().sum(-1, keepdim=True),
                 "done": done,
                 "terminated": done.clone(),

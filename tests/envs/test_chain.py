@@ -9,7 +9,7 @@ from linear_fleet import A, B, LinearFleet, render
 from torchrl.envs import Compose, TransformedEnv
 
 from tsjepa.envs.transforms import Camera, Channel, Encode, Estimator, HoldCommand, Scheduler, Uplink
-from tsjepa.radio import IidLoss, outage_probability, resource_units
+from tsjepa.radio import IidLoss, outage_probability, periodic, resource_units
 
 
 def feedback(tensordict):
@@ -79,7 +79,7 @@ def test_a_reset_device_starts_anew_and_shares_what_is_left_of_the_slot():
     lengths = [7, 1000, 9, 1000, 13, 1000]
     data = rollout(state_chain(Scheduler("channel_aware", 2)), slots=60, lengths=lengths)
     assert (data["scheduled"].sum(0) <= 2).all()
-    started = data["count"] == 0
+    started = data["slot"] == 0
     first_age = data["age_of_information"][started]
     assert torch.equal(first_age == 1, data["delivered"][started])
     assert ((first_age == 1) | (first_age == 2)).all()
@@ -109,6 +109,13 @@ def test_round_robin_survives_resets():
     assert (data["scheduled"].sum(-1) == 10).float().mean() > 0.3
     steady = rollout([Scheduler("round_robin", 2)], slots=30)
     assert (steady["scheduled"].sum(-1) == 10).all()
+
+
+def test_periodic_counts_the_slots_of_each_devices_own_episode():
+    data = rollout([Scheduler(periodic(3), 1)], slots=30, lengths=[4, 6, 5, 9, 3, 8])
+    assert torch.equal(data["scheduled"], data["slot"] % 3 == 0)
+    first = rollout([Scheduler("once", 1)], slots=30, lengths=[4, 6, 5, 9, 3, 8])
+    assert torch.equal(first["scheduled"], first["slot"] == 0)
 
 
 def test_units_are_enough_for_the_payload_and_within_the_slot():

@@ -1,8 +1,8 @@
 import pytest
 import torch
 from torch.nn import functional as F
-
 from tsjepa.envs.embedding_codec import embedding_codec
+
 from tsjepa.evaluation.evaluate import evaluate
 from tsjepa.models import Architecture, SemanticController, entries
 from tsjepa.radio.codecs import payload_bits

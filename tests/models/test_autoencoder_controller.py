@@ -1,10 +1,10 @@
 import pytest
 import torch
+from tsjepa.plants.expert import Expert
 
 import tsjepa
 from tsjepa.models import AutoencoderArchitecture, AutoencoderController, entries
 from tsjepa.models.autoencoder import ClippedLinearLaw
-from tsjepa.plants.expert import Expert
 
 SMALL = AutoencoderArchitecture(
     widths=(4, 8, 8), embedding_dim=8, decoder_channels=(8, 8, 4, 4), estimator_channels=(4, 8, 8)
@@ -55,7 +55,7 @@ def test_the_command_is_the_law_applied_to_the_state_read_from_the_reconstructio
 
 
 def test_it_says_that_it_predicts_nothing(model, embedding):
-    assert not model.architecture.has_predictor
+    assert not model.has_predictor
     with pytest.raises(ValueError, match="no predictor"):
         model.predict(embedding, torch.zeros(2, 3, 1))
 

@@ -53,7 +53,7 @@ def test_every_kind_comes_back_as_what_it_was(tmp_path, make, dtype):
     for part in ("act", "probe", "decode"):
         got, expected = (getattr(model, part)(embedding) for model in (loaded, saved))
         torch.testing.assert_close(got, expected, rtol=0, atol=tolerance * float(expected.abs().max()))
-    if not loaded.architecture.has_predictor:
+    if not loaded.has_predictor:
         with pytest.raises(ValueError, match="no predictor"):
             loaded.predict(embedding, torch.ones(3, 1))
 

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import torchrl  # noqa: F401  (before dm_control)
 from dm_control.suite import cartpole
-
 from tsjepa.plants.dynamics import Dynamics, check_force, substeps
 from tsjepa.plants.score import has_failed, in_box
 

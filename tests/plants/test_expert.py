@@ -9,10 +9,10 @@ import pytest
 import scipy.linalg
 import torch
 from tensordict.nn import TensorDictModule
+from tsjepa.plants.expert import POLE_INERTIA, Expert, linearised_plant, lqr_gain, reference_lqr
 
 import tsjepa  # noqa: F401  (chooses the GL backend before mujoco is imported)
 from tsjepa.envs import FleetEnv
-from tsjepa.plants.expert import POLE_INERTIA, Expert, linearised_plant, lqr_gain, reference_lqr
 
 mujoco = pytest.importorskip("mujoco")
 mujoco_rollout = pytest.importorskip("mujoco.rollout")

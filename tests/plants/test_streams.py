@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-
 from tsjepa.plants.starts import StartDistribution, draw_colors, noise_std_pair
+
 from tsjepa.plants.streams import NOISE, normals, philox, uniforms
 
 ZERO = np.zeros(1, np.int64)

@@ -11,7 +11,7 @@ PAGE = Path(__file__).parents[2] / "docs" / "write-a-scheduler.md"
 @pytest.mark.skipif(not PAGE.exists(), reason="the docs are not part of this installation")
 def test_the_docs_page_runs(capsys):
     blocks = re.findall(r"```python\n(.*?)```", PAGE.read_text(), flags=re.DOTALL)
-    assert len(blocks) == 4
+    assert len(blocks) == 5
     names = {}
     for block in blocks:
         exec(block, names)

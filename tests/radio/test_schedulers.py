@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from tsjepa.radio import SCHEDULERS, ChannelKnowledge, gated, grant
+from tsjepa.radio import SCHEDULERS, Known, gated, grant, periodic, simulate_ages
 from tsjepa.radio.schedulers import channel_aware, channel_aware_literal, get_scheduler, max_age
 
 CASES, DEVICES = 100_000, 8
@@ -12,18 +12,25 @@ CASES, DEVICES = 100_000, 8
 def random_case(seed, cases=CASES, devices=DEVICES):
     generator = torch.Generator().manual_seed(seed)
     snr = torch.empty(cases, devices, dtype=torch.float64).exponential_(generator=generator)
-    channel = ChannelKnowledge(
+    return Known(
         snr=snr,
         success=torch.rand(cases, devices, generator=generator).double(),
         above_threshold=torch.rand(cases, devices, generator=generator) < 0.6,
         candidate=torch.rand(cases, devices, generator=generator) < 0.9,
+        # few distinct ages, so that ties are common
+        age=torch.randint(1, 12, (cases, devices), generator=generator),
+        demand=torch.randint(1, 5, (cases, devices), generator=generator),
+        budget=torch.randint(0, 12, (cases,), generator=generator),
+        memory=torch.randint(0, 4, (cases, devices), generator=generator).double(),
+        slot=torch.randint(0, 6, (cases, devices), generator=generator),
     )
-    # few distinct ages, so that ties are common
-    age = torch.randint(1, 12, (cases, devices), generator=generator)
-    demand = torch.randint(1, 5, (cases, devices), generator=generator)
-    budget = torch.randint(0, 12, (cases,), generator=generator)
-    memory = torch.randint(0, 4, (cases, devices), generator=generator).double()
-    return age, channel, demand, budget, memory
+
+
+def alike(*shape, **fields):
+    """Devices that differ in nothing but ``fields``; one unit each."""
+    ones, everyone = torch.ones(shape), torch.ones(shape, dtype=torch.bool)
+    known = Known(ones, ones, ones, everyone, everyone, budget=1, memory=torch.zeros(shape, dtype=torch.float64))
+    return known._replace(**fields)
 
 
 def reference_grant(score, candidate, demand, budget):
@@ -38,21 +45,19 @@ def reference_grant(score, candidate, demand, budget):
 
 
 def test_grant_matches_a_plain_loop():
-    age, channel, demand, budget, _ = random_case(0, cases=3000)
-    expected = [
-        reference_grant(*row)
-        for row in zip(*(x.tolist() for x in (age, channel.candidate, demand, budget)), strict=True)
-    ]
-    assert grant(age, channel.candidate, demand, budget).tolist() == expected
+    known = random_case(0, cases=3000)
+    columns = (known.age, known.candidate, known.demand, known.budget)
+    expected = [reference_grant(*row) for row in zip(*(x.tolist() for x in columns), strict=True)]
+    assert grant(*columns).tolist() == expected
 
 
 @pytest.mark.parametrize("budget", [0, 1, 3, 8, 20])
 def test_one_unit_each_is_the_same_by_threshold_and_by_sort(budget):
-    age, channel, _, _, _ = random_case(1)
-    fast = grant(age, channel.candidate, None, budget)
-    slow = grant(age, channel.candidate, torch.ones_like(age), budget)
+    known = random_case(1)
+    fast = grant(known.age, known.candidate, None, budget)
+    slow = grant(known.age, known.candidate, torch.ones_like(known.age), budget)
     assert torch.equal(fast, slow)
-    assert torch.equal(fast.sum(-1), channel.candidate.sum(-1).clamp(max=budget))
+    assert torch.equal(fast.sum(-1), known.candidate.sum(-1).clamp(max=budget))
 
 
 def test_equal_scores_go_in_order_of_index():
@@ -70,111 +75,138 @@ def test_any_batch_shape():
             assert torch.equal(stacked[i, j], grant(age[i, j], everyone[i, j], None, 2))
 
 
-@pytest.mark.parametrize("name", [name for name in SCHEDULERS if name != "oracle"])
+@pytest.mark.parametrize("name", [name for name in SCHEDULERS if name not in ("once", "oracle")])
 def test_budget_and_candidates_are_respected(name):
-    age, channel, demand, budget, memory = random_case(2)
-    schedule, _ = SCHEDULERS[name](age, channel, demand, budget, memory)
-    assert schedule.shape == age.shape and schedule.dtype == torch.bool
-    assert ((demand * schedule).sum(-1) <= budget).all()
-    assert not (schedule & ~channel.candidate).any()
-    schedule, _ = SCHEDULERS[name](age, channel, None, 3, memory)
+    known = random_case(2)
+    schedule, _ = SCHEDULERS[name](known)
+    assert schedule.shape == known.age.shape and schedule.dtype == torch.bool
+    assert ((known.demand * schedule).sum(-1) <= known.budget).all()
+    assert not (schedule & ~known.candidate).any()
+    schedule, _ = SCHEDULERS[name](known._replace(demand=None, budget=3))
     assert (schedule.sum(-1) <= 3).all()
-    assert not (schedule & ~channel.candidate).any()
+    assert not (schedule & ~known.candidate).any()
 
 
 @pytest.mark.parametrize("name", SCHEDULERS)
 def test_gated_schedulers_never_pick_below_the_threshold(name):
-    age, channel, demand, budget, memory = random_case(3)
-    schedule, _ = gated(SCHEDULERS[name])(age, channel, demand, budget, memory)
-    assert not (schedule & ~channel.above_threshold).any()
+    known = random_case(3)
+    schedule, _ = gated(SCHEDULERS[name])(known)
+    assert not (schedule & ~known.above_threshold).any()
 
 
 @pytest.mark.parametrize("scheduler", [channel_aware, channel_aware_literal])
 def test_the_papers_scheduler_is_gated_by_itself(scheduler):
-    age, channel, demand, budget, memory = random_case(4)
-    schedule, _ = scheduler(age, channel, demand, budget, memory)
-    assert not (schedule & ~channel.above_threshold).any()
-    free, _ = scheduler(age, channel, None, DEVICES, memory, snr_gate=False)
-    assert torch.equal(free, channel.candidate)
+    known = random_case(4)
+    schedule, _ = scheduler(known)
+    assert not (schedule & ~known.above_threshold).any()
+    free, _ = scheduler(known._replace(demand=None, budget=DEVICES), snr_gate=False)
+    assert torch.equal(free, known.candidate)
 
 
 @pytest.mark.parametrize("aoi_reset", ["delivery", "scheduled"])
 def test_equal_success_probabilities_make_channel_aware_max_age(aoi_reset):
-    age, channel, demand, budget, memory = random_case(5)
-    channel = channel._replace(
-        success=channel.success[:, :1].expand(-1, DEVICES), above_threshold=torch.ones_like(channel.candidate)
+    known = random_case(5)
+    known = known._replace(
+        success=known.success[:, :1].expand(-1, DEVICES), above_threshold=torch.ones_like(known.candidate)
     )
-    for need, room in ((None, 3), (demand, budget)):
-        ours, _ = channel_aware(age, channel, need, room, memory, aoi_reset=aoi_reset)
-        assert torch.equal(ours, max_age(age, channel, need, room, memory)[0])
+    for case in (known, known._replace(demand=None, budget=3)):
+        ours, _ = channel_aware(case, aoi_reset=aoi_reset)
+        assert torch.equal(ours, max_age(case)[0])
 
 
 @pytest.mark.parametrize("aoi_reset", ["delivery", "scheduled"])
 def test_equal_ages_make_channel_aware_highest_success_probability(aoi_reset):
-    age, channel, demand, budget, memory = random_case(6)
-    age = age[:, :1].expand(-1, DEVICES)
-    channel = channel._replace(above_threshold=torch.ones_like(channel.candidate))
-    for need, room in ((None, 3), (demand, budget)):
-        ours, _ = channel_aware(age, channel, need, room, memory, aoi_reset=aoi_reset)
-        assert torch.equal(ours, grant(channel.success, channel.candidate, need, room))
+    known = random_case(6)
+    known = known._replace(age=known.age[:, :1].expand(-1, DEVICES), above_threshold=torch.ones_like(known.candidate))
+    for case in (known, known._replace(demand=None, budget=3)):
+        ours, _ = channel_aware(case, aoi_reset=aoi_reset)
+        assert torch.equal(ours, grant(case.success, case.candidate, case.demand, case.budget))
 
 
 def test_channel_aware_maximises_the_papers_objective():
     """Against every subset of at most J devices, the age resetting on delivery."""
-    age, channel, _, _, memory = random_case(7, cases=200)
-    schedule, _ = channel_aware(age, channel, None, 3, memory, success_weight=0.7, age_weight=1.3)
+    known = random_case(7, cases=200)._replace(demand=None, budget=3)
+    schedule, _ = channel_aware(known, success_weight=0.7, age_weight=1.3)
     subsets = torch.cartesian_prod(*[torch.tensor([False, True])] * DEVICES)
     subsets = subsets[subsets.sum(-1) <= 3]
 
     def objective(picked, row):
-        p = channel.success[row] * picked
-        return (0.7 * p - 1.3 * (1 - p) * torch.log1p(age[row].double())).sum(-1)
+        p = known.success[row] * picked
+        return (0.7 * p - 1.3 * (1 - p) * torch.log1p(known.age[row].double())).sum(-1)
 
     for row in range(200):
-        allowed = channel.candidate[row] & channel.above_threshold[row]
+        allowed = known.candidate[row] & known.above_threshold[row]
         best = objective(subsets[~(subsets & ~allowed).any(-1)], row).max()
         assert objective(schedule[row], row) == pytest.approx(best.item(), abs=1e-9)
 
 
 def test_round_robin_serves_in_a_cycle():
-    channel = ChannelKnowledge(*[torch.ones(5)] * 2, *[torch.ones(5, dtype=torch.bool)] * 2)
-    memory, picks = torch.zeros(5, dtype=torch.float64), []
+    known, picks = alike(5, budget=2), []
     for _ in range(6):
-        schedule, memory = SCHEDULERS["round_robin"](torch.ones(5), channel, None, 2, memory)
+        schedule, memory = SCHEDULERS["round_robin"](known)
+        known = known._replace(memory=memory)
         picks.append(schedule.nonzero().flatten().tolist())
     assert picks == [[0, 1], [2, 3], [0, 4], [1, 2], [3, 4], [0, 1]]
 
 
 def test_random_is_fair_and_repeats_for_a_seed():
-    channel = ChannelKnowledge(*[torch.ones(1000, 6)] * 2, *[torch.ones(1000, 6, dtype=torch.bool)] * 2)
-    memory = torch.zeros(1000, 6, dtype=torch.float64)
-    first, memory = SCHEDULERS["random"](None, channel, None, 2, memory)
-    second, _ = SCHEDULERS["random"](None, channel, None, 2, memory)
+    known = alike(1000, 6, budget=2)
+    first, memory = SCHEDULERS["random"](known)
+    second, _ = SCHEDULERS["random"](known._replace(memory=memory))
     assert first.double().mean(0).sub(1 / 3).abs().max() < 0.05
     assert not torch.equal(first, second)
-    again, _ = SCHEDULERS["random"](None, channel, None, 2, torch.zeros_like(memory))
+    again, _ = SCHEDULERS["random"](known)
     assert torch.equal(first, again)
 
 
 def test_proportional_fair_shares_time_between_unequal_links():
-    snr = torch.tensor([100.0, 1.0])
-    channel = ChannelKnowledge(snr, torch.ones(2), *[torch.ones(2, dtype=torch.bool)] * 2)
-    memory, grants = torch.zeros(2, dtype=torch.float64), torch.zeros(2)
+    known, grants = alike(2, snr=torch.tensor([100.0, 1.0])), torch.zeros(2)
     for _ in range(2000):
-        schedule, memory = SCHEDULERS["proportional_fair"](None, channel, None, 1, memory)
+        schedule, memory = SCHEDULERS["proportional_fair"](known)
+        known = known._replace(memory=memory)
         grants += schedule
     assert grants[0].item() == pytest.approx(1000, abs=60)
 
 
 def test_oracle_and_none():
-    age, channel, demand, budget, memory = random_case(8, cases=10)
-    assert torch.equal(SCHEDULERS["oracle"](age, channel, demand, budget, memory)[0], channel.candidate)
-    assert not SCHEDULERS["none"](age, channel, demand, budget, memory)[0].any()
+    known = random_case(8, cases=10)
+    assert torch.equal(SCHEDULERS["oracle"](known)[0], known.candidate)
+    assert not SCHEDULERS["none"](known)[0].any()
+
+
+@pytest.mark.parametrize("period", [0, 1, 3])
+def test_periodic_serves_every_period_whatever_the_channel_and_the_budget(period):
+    known = random_case(10)._replace(budget=0)
+    schedule, memory = periodic(period)(known)
+    due = torch.isin(known.slot, torch.tensor({0: [0], 1: [0, 1, 2, 3, 4, 5], 3: [0, 3]}[period]))
+    assert torch.equal(schedule, known.candidate & due)
+    assert memory is known.memory
+
+
+def test_once_is_the_first_slot_of_an_episode():
+    known = random_case(11, cases=100)
+    assert torch.equal(SCHEDULERS["once"](known)[0], periodic(0)(known)[0])
+
+
+def test_periodic_in_the_pure_network_mode():
+    trace = simulate_ages(periodic(4), num_devices=5, resource_blocks=1, slots=10, mean_snr_db=300.0, batch=2)
+    assert trace.mean_age[:, 0].tolist() == [1, 2, 3, 4] * 2 + [1, 2]
+    assert (trace.grants == 3).all() and (trace.deliveries == 3).all()
+    assert (simulate_ages("once", 5, 1, 10).grants == 1).all()
 
 
 def test_bad_input_is_rejected():
-    age, channel, demand, budget, memory = random_case(9, cases=1)
+    known = random_case(9, cases=1)
     with pytest.raises(ValueError, match="unknown scheduler 'fifo'"):
         get_scheduler("fifo")
     with pytest.raises(ValueError, match="aoi_reset"):
-        channel_aware(age, channel, demand, budget, memory, aoi_reset="never")
+        channel_aware(known, aoi_reset="never")
+    with pytest.raises(ValueError, match="period -1"):
+        periodic(-1)
+    with pytest.raises(ValueError, match="key 'slot'"):
+        periodic(5)(known._replace(slot=None))
+
+
+def test_a_scheduler_of_version_0_1_is_told_the_mend():
+    with pytest.raises(ValueError, match="takes one argument, known"):
+        get_scheduler(lambda age, channel, demand, budget, memory: (channel.candidate, memory))

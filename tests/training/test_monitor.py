@@ -66,6 +66,16 @@ def test_the_linear_probe_reads_a_state_that_is_linear_in_the_embedding():
     assert (linear_probe_rmse(embedding, noise) > 0.8).all()
 
 
+def test_a_single_trajectory_is_probed_by_its_halves():
+    embedding = F.normalize(torch.randn(1, 60, 8, generator=torch.Generator().manual_seed(0)), dim=-1)
+    state = embedding @ torch.randn(8, 4, generator=torch.Generator().manual_seed(1)) + 2
+    assert (linear_probe_rmse(embedding, state, ridge=1e-9) < 1e-3).all()
+    state[:, 30:] += 1
+    torch.testing.assert_close(
+        linear_probe_rmse(embedding, state, ridge=1e-9), torch.ones(4).double(), rtol=1e-2, atol=0
+    )
+
+
 @pytest.mark.parametrize(
     ("metrics", "sentence"),
     [

@@ -9,11 +9,11 @@ import pytest
 import tiny_controller
 import torch
 from torch import nn
+from tsjepa.envs.embedding_codec import embedding_codec
+from tsjepa.evaluation.closed_loop import SemanticPolicy, Starts, run
 
 from tsjepa import cli
 from tsjepa.envs import Renderer
-from tsjepa.envs.embedding_codec import embedding_codec
-from tsjepa.evaluation.closed_loop import SemanticPolicy, Starts, run
 from tsjepa.models import entries
 from tsjepa.zoo.deploy import deploy, graphs
 
@@ -113,7 +113,7 @@ def test_a_controller_makes_of_a_payload_what_the_model_would(deployment):
 
 def test_a_controller_predicts_what_the_model_would(deployment):
     model, _, run_graph = deployment
-    if not model.architecture.has_predictor:
+    if not model.has_predictor:
         assert set(run_graph) == {"device", "receive"}
         return
     for rows in ROWS:
@@ -129,7 +129,7 @@ def test_the_graphs_close_the_loop_as_the_model_does(deployment):
     model, _, run_graph = deployment
     renderer, codec = Renderer(), embedding_codec("int8", model)
     policy = SemanticPolicy(model, renderer.render, 3, codec=lambda sent: codec.decode(codec.encode(sent)))
-    starts = Starts(0, 2, 8, model.frame_history, model.architecture.sampling_interval)
+    starts = Starts(0, 2, 8, model.frame_history, model.spec.slot)
     belief = command = None
 
     def by_graphs(slot: int, observation) -> torch.Tensor:
@@ -161,10 +161,10 @@ def test_the_files_hold_the_weights_they_need_and_nothing_of_this_machine(deploy
 def test_the_description_says_what_goes_in_and_comes_out(deployment):
     model, folder, _ = deployment
     said = json.loads((folder / "deployment.json").read_text())
-    d, stack = model.architecture.embedding_dim, model.architecture.frame_stack
+    d, stack = model.embedding_dim, model.frame_stack
     assert said["payload_bits"] == 8 * d
-    assert (said["frame_stack"], said["frame_spacing_slots"]) == (stack, model.architecture.frame_spacing)
-    assert said["slot_seconds"] == model.architecture.sampling_interval
+    assert (said["frame_stack"], said["frame_spacing_slots"]) == (stack, model.frame_spacing)
+    assert said["slot_seconds"] == model.spec.slot
     assert said["graphs"]["device"] == {
         "inputs": {"frames": f"uint8 [rows, {stack}, 64, 128, 3]"},
         "outputs": {"payload": f"uint8 [rows, {d}]"},

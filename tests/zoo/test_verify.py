@@ -284,7 +284,7 @@ def test_a_card_of_a_model_that_nobody_has_measured_claims_nothing():
 
 def test_a_card_of_a_controller_without_predictor_does_not_promise_one():
     model = tiny()
-    model.architecture.has_predictor = False
+    model.has_predictor = False
     assert kind_of(model) == "supervised"
     text = card("tiny", model, FIGURES)
     assert "model.predict" not in text

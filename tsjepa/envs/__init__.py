@@ -6,7 +6,7 @@ TorchRL comes first: it loads triton, and triton loaded after an EGL context exi
 import torchrl  # noqa: F401
 
 from tsjepa.envs.fleet import FleetEnv
-from tsjepa.plants.renderer import Renderer
-from tsjepa.plants.starts import StartDistribution
+from tsjepa.envs.make import make_env, make_policy
+from tsjepa.envs.settings import Radio
 
-__all__ = ["FleetEnv", "Renderer", "StartDistribution"]
+__all__ = ["FleetEnv", "Radio", "make_env", "make_policy"]

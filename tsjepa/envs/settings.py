@@ -1,13 +1,14 @@
-"""What a fleet experiment is made of: the radio that is shared, and the plants."""
+"""The radio of an experiment, as plain values that a recipe can give."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from tsjepa.evaluation.closed_loop import Starts
 from tsjepa.radio import Deployment, GilbertElliott, IidLoss, units_per_slot
 from tsjepa.radio.simulation import check_csi
 from tsjepa.support.checks import at_least, within
+
+FULL_BANDWIDTH_MHZ = 20.0
 
 
 @dataclass(frozen=True)
@@ -16,12 +17,13 @@ class Radio:
 
     Args:
         resource_blocks: J, devices that may transmit in a slot; None lets each take as many resource units as its
-            payload and channel need (paper-notes, decision 16).
+            payload and channel need.
         payload_bits: bits that the scheduler reserves for an update where ``resource_blocks`` is None; None takes
             them from the codec, which is possible unless the codec's packets vary in length.
         bandwidth_mhz: where ``resource_blocks`` is None: of 20 MHz, whose 106 resource blocks shrink in proportion.
         codec: of what is sent, see :func:`tsjepa.radio.codecs.make_codec`; a frame codec sends frames and leaves
             the encoder to the controller.
+        quality: of JPEG and WebP, 1 to 100; of H.264 the constant rate factor, 0 to 51, lower is better.
         snr_target_db: mean SNR that power control gives every device; None transmits at ``tx_power_dbm``.
         tx_power_dbm: fixed transmit power.
         snr_threshold_db: SNR below which a packet is lost.
@@ -30,13 +32,14 @@ class Radio:
         max_doppler_hz: 0 for fading that is independent from slot to slot.
         deployment: positions and propagation.
         loss: packet loss beside the SNR.
-        lossless: everything that is scheduled arrives.
+        lossless: everything that is scheduled arrives, and no channel is computed.
     """
 
     resource_blocks: int | None = 10
     payload_bits: int | None = None
-    bandwidth_mhz: float = 20.0
+    bandwidth_mhz: float = FULL_BANDWIDTH_MHZ
     codec: str = "fp32"
+    quality: int = 50
     snr_target_db: float | None = 10.0
     tx_power_dbm: float = 23.0
     snr_threshold_db: float = 5.0
@@ -57,32 +60,6 @@ class Radio:
             if getattr(self, name) is not None:
                 at_least(1, **{name: getattr(self, name)})
 
-    def units(self, sampling_interval: float) -> int:
-        """Resource units in a slot, at least 1."""
-        return max(1, int(units_per_slot(sampling_interval) * self.bandwidth_mhz / 20.0))
-
-
-@dataclass(frozen=True)
-class Plants:
-    """The cart-poles, their controller apart.
-
-    Args:
-        slots: length of the episode that is scored.
-        sampling_interval: seconds per slot.
-        process_noise_std: of the noise on both velocities after every slot, m/s and rad/s.
-        frame_history: frames before and including step 0, the warm-up under zero force.
-    """
-
-    slots: int = 100
-    sampling_interval: float = 0.02
-    process_noise_std: float = 0.008
-    frame_history: int = 2
-
-    def __post_init__(self) -> None:
-        at_least(1, slots=self.slots, frame_history=self.frame_history)
-        at_least(0, process_noise_std=self.process_noise_std)
-        within(1e-6, 10, sampling_interval=self.sampling_interval)
-
-    def starts(self, seed: int, count: int) -> Starts:
-        """Starts of the devices 0 .. count - 1; device i is the same plant whatever ``count`` is."""
-        return Starts(seed, count, self.slots, self.frame_history, self.sampling_interval, self.process_noise_std)
+    def units(self, slot: float) -> int:
+        """Resource units in a slot of ``slot`` seconds: whole ones, at least 1."""
+        return max(1, int(units_per_slot(slot) * self.bandwidth_mhz / FULL_BANDWIDTH_MHZ))

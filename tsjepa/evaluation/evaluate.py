@@ -1,213 +1,196 @@
-"""``tsjepa evaluate``: one controller in closed loop beside its baselines; table, plot, video and raw figures."""
+"""``tsjepa evaluate``: one controller in closed loop beside its baselines; table, plots, film and raw figures."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
-from functools import partial
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Literal
+from typing import Any
 
 import torch
+from tensordict import TensorDictBase
+from torch import Tensor
 from tqdm import tqdm
 
 from tsjepa.data.storage import read_metadata
-from tsjepa.envs.embedding_codec import embedding_codec
-from tsjepa.evaluation.closed_loop import ONCE, SemanticPolicy, Starts, planned_policy, run, true_state_policy
-from tsjepa.evaluation.metrics import Run, interval, normalized_score
+from tsjepa.envs.make import EXACT, HOLD, LOSSLESS, ZERO, at_weights, state_is_physics
+from tsjepa.evaluation.conditions import SEEDS, held_out_loop, plant_of, warn_of_another_renderer
+from tsjepa.evaluation.films import look_inside
+from tsjepa.evaluation.metrics import Run
 from tsjepa.evaluation.open_loop import open_loop_metrics
-from tsjepa.evaluation.pictures import horizon_plot, look_inside, loop_plot
-from tsjepa.radio.codecs import payload_bits
+from tsjepa.evaluation.pictures import horizon_plot, loop_plot
+from tsjepa.evaluation.rollouts import ONCE, Loop, every, perfect_feedback, run
+from tsjepa.evaluation.summary import score_by_slot, summary, table, watched_figures
+from tsjepa.models import entries
+from tsjepa.plants import describe_plant
 from tsjepa.support.checks import at_least, within
 from tsjepa.support.files import write_text
-from tsjepa.support.provenance import machine, provenance
-from tsjepa.zoo.card import kind_of
+from tsjepa.support.provenance import machine as computer
+from tsjepa.support.provenance import provenance
 
-STATE_BITS = 4 * 32
-RAW_FRAME_BITS = 8 * 3 * 64 * 128
-ANGLE_LIMIT = 0.05  # rad; a prediction whose probed angle is further off counts as lost
-FIRST_SLOT = f"first_slot_angle_error_above_{ANGLE_LIMIT}"
-LABELS = {"tsjepa": "TS-JEPA", "supervised": "supervised", "autoencoder": "autoencoder"}
+LABELS = {"tsjepa": "TS-JEPA"}  # by kind of model; the others are called by their kind
+NO_PLANT = "Closed loops are left out, because they need a plant and this model was trained on a recording."
+NO_DATA = "Command error on trajectories, probe error and prediction skill are left out, because no data set is given."
 
 
 def evaluate(
     model: str,
+    plant: dict[str, Any] | None = None,
     output: str = "runs/evaluation",
-    data: str | None = "data/cartpole-20ms",
+    data: str | None = None,
     periods: Sequence[int] = (1, 2, 5, 10, 20, ONCE),
-    seeds: int = 5,
-    starts_per_seed: int = 20,
-    slots: int = 100,
-    frame_history: int = 1,
-    process_noise_std: float = 0.0,
+    seeds: int | None = None,
+    starts_per_seed: int | None = None,
+    slots: int | None = None,
+    frame_history: int | None = None,
+    process_noise_std: float | None = None,
     blend: float = 1.0,
-    codec: Literal["fp32", "fp16", "int8", "int4"] = "fp32",
+    codec: str = "fp32",
     video: bool = True,
+    device: str = "cpu",
 ) -> dict:
     """Closes the loop on held-out starts with an update every P slots and prints how each controller did.
 
+    What is left out of plant, seeds, starts, slots, history and noise is as in the model's own figures, so that they
+    are measured again.
+
     Args:
         model: name or folder of a zoo entry.
+        plant: class_path and init_args of the machine; the one that the model was trained on if left out. A model of a
+            recording has none and is evaluated on data alone.
         output: folder for ``evaluation.json``, the plots ``score.png`` and (with a period of 0) ``horizon.png``, and
             what embeddings hold: the film ``loop.mp4`` and the still picture ``inside.png``.
-        data: data set whose test split gives command error, probe error and prediction skill; null to leave them out.
+        data: data set whose test split gives command error, probe error and prediction skill.
         periods: slots between updates; 0 means once, at the first slot.
-        seeds: sets of starts, at least 2 (5 for figures that are reported).
-        starts_per_seed: starts in each.
-        slots: length of a run.
-        frame_history: frames up to step 0, the warm-up under zero force; at least those of the model's stack. Models of
-            different stacks meet the same starts with the longest one's (4 for the supervised baseline's).
-        process_noise_std: standard deviation of the noise on both velocities after every slot (m/s, rad/s).
+        seeds: sets of starts, at least 2; else 5.
+        starts_per_seed: starts in each; else 20.
+        slots: length of a run; else 100.
+        frame_history: slots up to step 0, the warm-up at rest; at least those of the model's stack. Models of different
+            stacks meet the same starts with the longest one's.
+        process_noise_std: standard deviation of the noise that the plant adds after every slot.
         blend: how much of a received embedding enters the belief; 1 replaces the prediction.
-        codec: how an embedding is sent; the integer ones need ranges that travel with the model.
+        codec: how an update is sent, see :class:`tsjepa.envs.Radio`; integer codecs need ranges that travel with the
+            model.
         video: write the film and the still picture.
+        device: where the model computes, such as cuda.
+
+    Raises:
+        ValueError: an argument that cannot be, or neither a plant nor data.
+        FileNotFoundError: there is no such model or data set.
     """
-    import tsjepa
-    from tsjepa.envs import Renderer
-    from tsjepa.plants.expert import Expert, reference_lqr
-
-    at_least(2, seeds=seeds)
-    at_least(1, starts_per_seed=starts_per_seed, slots=slots, frame_history=frame_history)
-    at_least(0, process_noise_std=process_noise_std, **{f"periods[{i}]": period for i, period in enumerate(periods)})
+    at_least(0, **{f"periods[{i}]": period for i, period in enumerate(periods)})
     within(0, 1, blend=blend)
-    controller = tsjepa.load(model)
-    if data is not None:
-        read_metadata(data)  # a missing data set is said before the loops are run
-    architecture, own = controller.architecture, LABELS[kind_of(controller)]
-    frame_history = max(frame_history, controller.frame_history)
-    interval_s = architecture.sampling_interval
-    renderer, expert = Renderer(), Expert(interval_s)
-    radio = embedding_codec(codec, controller)
-    embedding_bits = int(payload_bits(radio.encode(torch.zeros(1, architecture.embedding_dim))))
-
-    def sent(embedding: torch.Tensor) -> torch.Tensor:
-        return radio.decode(radio.encode(embedding))
-
-    sets = [Starts(seed, starts_per_seed, slots, frame_history, interval_s, process_noise_std) for seed in range(seeds)]
-    laws = {"expert": expert, "reference LQR": reference_lqr(interval_s)}
-    feedback = {name: [run(starts, true_state_policy(law, 1)) for starts in sets] for name, law in laws.items()}
-    best = max(feedback, key=lambda name: sum(float(loop.raw_score().sum()) for loop in feedback[name]))
-    optimal = [loop.raw_score() for loop in feedback[best]]
-    rows = [summary("expert, perfect feedback", 1, feedback["expert"], optimal, STATE_BITS, slots)]
-    for period in tqdm(periods, desc="closed loops", unit="period"):
-        policies = {
-            own: partial(SemanticPolicy, controller, renderer.render, period, blend, sent),
-            "expert, hold last": partial(true_state_policy, expert, period, "hold"),
-            "expert, zero": partial(true_state_policy, expert, period, "zero"),
-        }
-        if period == ONCE:
-            policies["expert, plan sent once"] = partial(planned_policy, expert, interval_s, slots)
-        for name, policy in policies.items():
-            if period == 1 and name != own:
-                continue
-            bits = embedding_bits if name == own else STATE_BITS
-            if name == own and period == ONCE and architecture.has_predictor:
-                loops, errors = zip(*(run_probed(starts, policy()) for starts in sets), strict=True)
-                more = angle_figures(torch.cat(errors, dim=1))
-            else:
-                loops, more = [run(starts, policy()) for starts in sets], {}
-            rows.append(summary(name, period, loops, optimal, bits, slots) | more)
-            if name == own == LABELS["supervised"]:
-                frames = RAW_FRAME_BITS * architecture.frame_stack
-                rows[-1]["bits_per_step_as_frames"] = rows[-1]["bits_per_step"] * frames / bits
-    result = {
-        "made_by": provenance(),
-        "machine": machine(),
-        "model": model,
-        "model_sha256": controller.entry_sha256,
-        "codec": codec,
-        "optimal_policy": best,
-        "optimal_raw_score": float(torch.cat(optimal).mean()),
-        "optimal_score_by_slot": score_by_slot(feedback[best]),
-        "starts": f"{seeds} seeds x {starts_per_seed}",
-        "seeds": list(range(seeds)),
-        "starts_per_seed": starts_per_seed,
-        "slots": slots,
-        "frame_history": frame_history,
-        "process_noise_std": process_noise_std,
-        "blend": blend,
-        "closed_loop": rows,
-    }
-    if data is not None:
+    controller = entries.load(model).to(device)
+    metadata = read_metadata(data) if data else None  # a missing data set is said before the loops are run
+    machine = plant_of(controller, plant, process_noise_std)
+    if machine is None and not data:
+        raise ValueError(f"The model {model} was trained on a recording: give --data to evaluate it, or a plant.")
+    result = {"made_by": provenance(), "machine": computer(), "model": model, "model_sha256": controller.entry_sha256}
+    loop = None
+    if machine is None:
+        print(NO_PLANT)
+    else:
+        loop = held_out_loop(controller, machine, starts_per_seed, slots, frame_history, blend, codec)
+        seeds = len(controller.metrics.get("seeds", range(SEEDS))) if seeds is None else seeds
+        at_least(2, seeds=seeds)
+        camera = machine.camera()
+        warn_of_another_renderer(camera, controller.metrics, metadata)
+        result |= {"plant": describe_plant(machine), "camera": camera, "device": device}
+        result |= closed_loops(loop, seeds, periods)
+    if data:
         result["open_loop"] = open_loop_metrics(controller, data)
+    else:
+        print(NO_DATA)
     folder = Path(output)
     folder.mkdir(parents=True, exist_ok=True)
     write_text(folder / "evaluation.json", json.dumps(result, indent=2) + "\n")
     print(table(result))
-    loop_plot(rows, folder / "score.png")
-    if ONCE in periods:
-        horizon_plot(rows, result["optimal_score_by_slot"], folder / "horizon.png")
-    if video and not controller.decoder.fitted:
-        print("There is no film, because the decoder of this model was never trained.")
-    elif video:
-        first = Starts(seeds, 1, slots, frame_history, interval_s)
-        look_inside(controller, renderer, first, folder / "loop.mp4", folder / "inside.png")
-    print(f"Figures, plot and film are in {folder}.")
+    if loop is not None:
+        pictures(loop, result, folder, video)
+    print(f"Figures, plots and film are in {folder}.")
     return result
 
 
-@torch.no_grad()
-def run_probed(starts: Starts, policy: SemanticPolicy) -> tuple[Run, torch.Tensor]:
-    """The closed loop, and the error [T, N] of the angle that the probe reads from each slot's belief, in rad."""
-    errors = []
-
-    def watched(slot: int, observation) -> torch.Tensor:
-        action = policy(slot, observation)
-        errors.append((policy.model.probe(policy.belief)[:, 1] - observation["state"][:, 1]).abs())
-        return action
-
-    return run(starts, watched), torch.stack(errors)
-
-
-def angle_figures(errors: torch.Tensor) -> dict:
-    """The mean over starts of errors [T, N], and the first slot where it passes the limit; None if it never does."""
-    mean = errors.mean(1)
-    above = (mean > ANGLE_LIMIT).nonzero()
+def closed_loops(loop: Loop, seeds: int, periods: Sequence[int]) -> dict:
+    """How the loops were run, the normaliser's score, and ``closed_loop``, the rows of the table."""
+    experts = dict.fromkeys((loop.plant.normaliser, next(iter(loop.plant.experts()))))
+    perfect = {name: runs_of(perfect_feedback(loop, name), seeds) for name in experts}
+    optimal = perfect[loop.plant.normaliser]
+    best = [outcome.raw_score() for outcome in optimal]
+    imitated = perfect[next(iter(loop.plant.experts()))]
     return {
-        FIRST_SLOT: int(above[0]) if len(above) else None,
-        "angle_error_by_slot": mean.tolist(),
+        "codec": loop.radio.codec,
+        "optimal_policy": loop.plant.normaliser,
+        "optimal_raw_score": float(torch.cat(best).mean()),
+        "optimal_score_by_slot": score_by_slot(optimal),
+        "starts": f"{seeds} seeds x {loop.num_devices}",
+        "seeds": list(range(seeds)),
+        "starts_per_seed": loop.num_devices,
+        "slots": loop.slots,
+        "frame_history": loop.frame_history,
+        "blend": loop.blend,
+        "closed_loop": [summary("expert, perfect feedback", 1, imitated, best), *rows(loop, seeds, periods, best)],
     }
 
 
-def summary(name: str, period: int, loops: Sequence[Run], optimal: list[torch.Tensor], bits: int, slots: int) -> dict:
-    """One row of the table: means over all starts, intervals over seeds."""
-    scores = [normalized_score(loop.raw_score(), best) for loop, best in zip(loops, optimal, strict=True)]
-    mean, half = interval(scores)
-    updates = 1 if period == ONCE else -(-slots // period)
-    return {
-        "controller": name,
-        "update_every": period or "once",
-        "normalized_score": mean,
-        "interval_95": half,
-        "best_seed": max(scores),
-        "per_seed": scores,
-        "raw_score": float(torch.cat([loop.raw_score() for loop in loops]).mean()),
-        "failures": int(torch.cat([loop.failed() for loop in loops]).sum()),
-        "starts": sum(len(best) for best in optimal),
-        "quadratic_cost": float(torch.cat([loop.quadratic_cost() for loop in loops]).mean()),
-        "command_nmae": float(torch.cat([loop.command_nmae() for loop in loops]).mean()),
-        "bits_per_step": bits * updates / slots,
-        "score_by_slot": score_by_slot(loops),
-    }
+def runs_of(loop: Loop, seeds: int) -> list[Run]:
+    """The loop from every set of starts."""
+    return [run(loop, seed) for seed in range(seeds)]
 
 
-def score_by_slot(loops: Sequence[Run]) -> list[float]:
-    """Share of starts that are in the box after each slot."""
-    return torch.cat([loop.in_box() for loop in loops], dim=1).float().mean(1).tolist()
+def rows(loop: Loop, seeds: int, periods: Sequence[int], optimal: list[Tensor]) -> Iterator[dict]:
+    """The model and its baselines at every period."""
+    own = LABELS.get(loop.controller.kind, loop.controller.kind)
+    for period in tqdm(periods, desc="closed loops", unit="period"):
+        if period == ONCE and has_watched_prediction(loop):
+            yield run_watched(own, every(loop, period), seeds, optimal)
+        else:
+            yield summary(own, period, runs_of(every(loop, period), seeds), optimal)
+        for name, baseline in baselines(loop, period).items():
+            yield summary(name, period, runs_of(every(baseline, period), seeds), optimal)
 
 
-def table(result: dict) -> str:
-    """The rows as aligned text."""
-    lines = [f"{'controller':<26}{'update':>7}{'score':>16}{'raw':>7}{'fail':>9}{'cost':>9}{'NMAE':>8}{'bit/step':>10}"]
-    for row in result["closed_loop"]:
-        lines.append(
-            f"{row['controller']:<26}{row['update_every']:>7}{row['normalized_score']:>8.3f} ± {row['interval_95']:.3f}"
-            f"{row['raw_score']:>7.3f}{row['failures']:>5}/{row['starts']:<3}{row['quadratic_cost']:>9.1f}"
-            f"{row['command_nmae']:>8.4f}{row['bits_per_step']:>10.0f}"
-        )
-        if FIRST_SLOT in row:
-            slot = "never" if row[FIRST_SLOT] is None else f"from slot {row[FIRST_SLOT]}"
-            lines.append(f"  probed angle more than {ANGLE_LIMIT} rad off: {slot}")
-    if "open_loop" in result:
-        lines += ["", *(f"{name}: {value}" for name, value in result["open_loop"].items())]
-    return "\n".join(lines)
+def baselines(loop: Loop, period: int) -> dict[str, Loop]:
+    """The expert on the true state, which is sent when the model's embedding would be; not where it always is."""
+    if period == 1:
+        return {}
+    controllers = {"expert, hold last": HOLD, "expert, zero": ZERO}
+    if period == ONCE and state_is_physics(loop.plant):
+        controllers["expert, plan sent once"] = EXACT
+    return {name: replace(loop, controller=kind, radio=LOSSLESS, blend=1.0) for name, kind in controllers.items()}
+
+
+def has_watched_prediction(loop: Loop) -> bool:
+    """Whether the plant watches a state that the model predicts and that its probe can read."""
+    return loop.plant.spec.watched is not None and loop.controller.has_predictor and loop.controller.probe is not None
+
+
+def run_watched(name: str, loop: Loop, seeds: int, optimal: list[Tensor]) -> dict:
+    """The row of a loop that hears once, with the error of the watched state as the probe reads it from the belief."""
+    spec, probe = loop.plant.spec, at_weights(loop.controller, loop.controller.probe)
+    index, errors, runs = spec.state_names.index(spec.watched), [], []
+
+    def watch(slot: int, now: TensorDictBase) -> None:
+        of_seed.append((probe(now["belief"]) - now["state"])[:, index].abs())
+
+    for seed in range(seeds):
+        of_seed: list[Tensor] = []
+        runs.append(run(loop, seed, watch))
+        errors.append(torch.stack(of_seed))
+    return summary(name, ONCE, runs, optimal) | watched_figures(torch.cat(errors, dim=1), spec)
+
+
+def pictures(loop: Loop, result: dict, folder: Path, video: bool) -> None:
+    """The plots, and the film of the first start after those of the figures."""
+    loop_plot(result["closed_loop"], folder / "score.png")
+    if any(row["update_every"] == "once" for row in result["closed_loop"]):
+        horizon_plot(result["closed_loop"], result["optimal_score_by_slot"], folder / "horizon.png")
+    decoder = loop.controller.decoder
+    if not video:
+        return
+    if decoder is None or not getattr(decoder, "fitted", True):
+        print("There is no film, because the decoder of this model was never trained.")
+    else:
+        first = replace(loop, num_devices=1)
+        look_inside(first, len(result["seeds"]), folder / "loop.mp4", folder / "inside.png")

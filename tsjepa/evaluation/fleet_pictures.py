@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from tsjepa.evaluation.fleet_search import mean
 from tsjepa.evaluation.metrics import interval
+from tsjepa.evaluation.search import mean
 
 # Okabe and Ito's colours, told apart by colour-blind readers
 COLORS = {
@@ -51,7 +51,7 @@ def capacity_plot(result: dict, path: Path) -> None:
         curve = dict(sorted(curves[name].items()))
         sizes, means = list(curve), [mean(values) for values in curve.values()]
         halves = [interval(values)[1] for values in curve.values()]
-        sign = {"at most": "<", "at least": "≥", "exact": ""}[limits[name]["bound"]]
+        sign = {"at most": "≤", "at least": "≥", "exact": ""}[limits[name]["bound"]]
         axis.plot(
             sizes,
             means,
@@ -88,7 +88,7 @@ def device_plot(rows: list[dict], path: Path) -> None:
     for name in names:
         scores = sorted((row["raw_score"] for row in rows if row["scheduler"] == name), reverse=True)
         axis.plot(share, scores, color=COLORS.get(name), linewidth=1.5, label=name)
-    axis.set(xlabel="devices, best first (%)", ylabel="share of slots in the box", ylim=(0, None), xlim=(0, 100))
+    axis.set(xlabel="devices, best first (%)", ylabel="raw score", ylim=(0, None), xlim=(0, 100))
     axis.legend(fontsize=8)
     _save(figure, path)
 

@@ -1,4 +1,4 @@
-"""The paper's scores and their intervals."""
+"""Scores of closed loops and their intervals."""
 
 from __future__ import annotations
 
@@ -8,49 +8,84 @@ import torch
 from scipy import stats
 from torch import Tensor
 
-from tsjepa.plants.score import has_failed, in_box
-
-COMMAND_RANGE = 40.0  # newtons, max(u) - min(u) of the actuator (paper-notes, decision 24)
-EFFORT_WEIGHT = 1e-3  # R of the quadratic cost (decision 17)
+from tsjepa.support.spec import PlantSpec
 
 
 @dataclass
 class Run:
-    """Closed loops of N starts over T slots.
+    """What I devices did in a closed loop over T slots.
 
     Args:
-        state: [T + 1, N, 4], true states, the first before any command.
-        action: [T, N, 1] applied commands in newtons.
-        expert_action: [T, N, 1], the expert's command in the same states.
+        spec: of the plant.
+        state: [T + 1, I, n], true states, the first before any command.
+        action: [T, I, m], commands that were applied.
+        expert_action: [T, I, m], the expert's commands in the same states.
+        score: [T, I] in 0..1, the plant's score of the state that each slot ended in, falls not counted.
+        failed_now: [T + 1, I] bool, where the plant is beyond recovery.
+        scheduled, delivered: [T, I] bool.
+        age: [T, I] slots since the last delivery, 1 on delivery.
+        payload_bits: [T, I] bits sent.
+        used: [T], what was granted of a slot's ``capacity``.
+        capacity: what a slot offers, devices or resource units.
+        cost: [T, I], the plant's cost of each slot, or None where it has none.
     """
 
+    spec: PlantSpec
     state: Tensor
     action: Tensor
     expert_action: Tensor
+    score: Tensor
+    failed_now: Tensor
+    scheduled: Tensor
+    delivered: Tensor
+    age: Tensor
+    payload_bits: Tensor
+    used: Tensor
+    capacity: int
+    cost: Tensor | None = None
 
-    def in_box(self) -> Tensor:
-        """[T, N] bool: which starts are in the box after each slot."""
-        return in_box(self.state[1:])
+    def slot_score(self) -> Tensor:
+        """[T, I]: the score of each slot; nothing counts from a failure on."""
+        fallen = self.failed_now[1:].cummax(0).values | self.failed_now[0]
+        return self.score.masked_fill(fallen, 0.0)
 
     def raw_score(self) -> Tensor:
-        """[N]: share of slots that end in the box (paper eq. eq5_scoring)."""
-        return self.in_box().float().mean(0)
+        """[I]: mean score over the slots (paper eq. eq5_scoring), 0 from a failure on."""
+        return self.slot_score().mean(0)
 
     def failed(self) -> Tensor:
-        """[N] bool: the pole fell or the cart left the rail at any slot."""
-        return has_failed(self.state).any(0)
+        """[I] bool: whether the plant failed at any slot."""
+        return self.failed_now.any(0)
 
     def quadratic_cost(self) -> Tensor:
-        """[N]: (1/2) sum |s|^2 + R u^2 (paper eq. eq5_Optimization_prob, R = 1e-3)."""
-        return 0.5 * (self.state[1:].square().sum(-1) + EFFORT_WEIGHT * self.action[..., 0].square()).sum(0)
+        """[I]: the plant's cost summed over the slots (paper eq. eq5_Optimization_prob)."""
+        return self.cost.sum(0)
 
     def command_nmae(self) -> Tensor:
-        """[N]: mean distance to the expert's command over 40 N (paper eq. eq5_NMAE)."""
-        return (self.action - self.expert_action).abs().mean((0, 2)) / COMMAND_RANGE
+        """[I]: mean distance to the expert's command over the actuator's range (paper eq. eq5_NMAE)."""
+        span = torch.tensor(self.spec.action_range)
+        return ((self.action - self.expert_action).abs() / span).mean((0, 2))
+
+    def delivery_rate(self) -> float:
+        """Share of the transmissions that arrive; 0 where nobody transmits."""
+        return float(self.delivered.sum() / self.scheduled.sum().clamp(min=1))
+
+    def utilisation(self) -> float:
+        """Share of the radio that was granted."""
+        return float(self.used.float().mean() / self.capacity)
 
 
 def normalized_score(raw: Tensor, optimal: Tensor) -> float:
-    """Sum of raw scores over the sum of the optimal policy's on the same starts (paper-notes, decision 17)."""
+    """Sum of raw scores over the sum of the normaliser's on the same starts.
+
+    Raises:
+        ValueError: the normaliser scores nothing, so that there is nothing to divide by.
+    """
+    if not float(optimal.sum()) > 0:
+        raise ValueError(
+            "With perfect feedback the normaliser scores nothing on these starts, so that scores cannot be "
+            "normalised; take more slots or more starts."
+        )
     return float(raw.sum() / optimal.sum())
 
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import torch
 from tensordict import TensorDictBase
-from torch import Tensor, nn
+from torch import Tensor
 
 from tsjepa.data.storage import open_split
-from tsjepa.evaluation.metrics import COMMAND_RANGE
+from tsjepa.models import Controller
 from tsjepa.models.predictor import rollout
 from tsjepa.training.embeddings import embed_split
 from tsjepa.training.monitor import SKILL_HORIZONS, action_sensitivity, effective_rank, prediction_skill
@@ -16,37 +16,54 @@ LONGEST_HORIZON = 50
 
 
 @torch.no_grad()
-def open_loop_metrics(model: nn.Module, data: str, split: str = "test") -> dict:
-    """All figures of one split of the data set in ``data``; RMSE in m, rad, m/s, rad/s.
+def open_loop_metrics(model: Controller, data: str, split: str = "test") -> dict:
+    """All figures of one split of the data set in ``data``; RMSE in the units of the state.
 
-    What is said about predictions is left out of a controller that makes none.
+    What is said about predictions is left out of a controller that makes none, and what is said about states where
+    nobody recorded or probes them. The command error is that to the expert, or to the recorded commands where no expert
+    was asked.
     """
-    embedded = embed_split(model.encoder, open_split(data, split), model.architecture.frame_spacing)
-    embedding, rows = embedded["embedding"], embedded.flatten(0, 1)
-    # in parts: an autoencoder draws the frames of every row
-    parts = rows["embedding"].split(500)
-    command, state = torch.cat([model.act(part) for part in parts]), torch.cat([model.probe(part) for part in parts])
-    figures = {
-        "command_nmae": float((command - rows["expert_action"]).abs().mean() / COMMAND_RANGE),
-        "probe_rmse": (state - rows["state"]).square().mean(0).sqrt().tolist(),
-        "effective_rank": float(effective_rank(rows["embedding"])),
-    }
-    if not model.architecture.has_predictor:
+    embedded = embed_split(model.encoder, open_split(data, split), model.frame_spacing)
+    rows = embedded.flatten(0, 1)
+    figures = command_error(model, rows)
+    if model.probe is not None and "state" in rows:
+        figures["probe_rmse"] = (probed(model, rows["embedding"]) - rows["state"]).square().mean(0).sqrt().tolist()
+    figures["effective_rank"] = float(effective_rank(rows["embedding"]))
+    if not model.has_predictor:
         return figures
-    skill = prediction_skill(model.predictor, embedding, embedded["action"], SKILL_HORIZONS)
-    predicted, copied = probed_prediction_error(model, embedded, LONGEST_HORIZON)
-    return {
-        **figures,
-        "action_sensitivity": float(action_sensitivity(model.predictor, rows["embedding"])),
-        "skill_over_copying": {str(horizon): float(value) for horizon, value in skill.items()},
-        "horizons_closer_than_copy": int((predicted < copied).sum()),
-        "probed_error_predicted": predicted.tolist(),
-        "probed_error_copied": copied.tolist(),
-    }
+    skill = prediction_skill(model.predictor, embedded["embedding"], embedded["action"], SKILL_HORIZONS)
+    figures["action_sensitivity"] = float(action_sensitivity(model.predictor, rows["embedding"]))
+    figures["skill_over_copying"] = {str(horizon): float(value) for horizon, value in skill.items()}
+    if "probe_rmse" in figures:
+        longest = min(LONGEST_HORIZON, embedded.shape[1] - 1)
+        predicted, copied = probed_prediction_error(model, embedded, longest)
+        figures["horizons_closer_than_copy"] = int((predicted < copied).sum())
+        figures["probed_error_predicted"], figures["probed_error_copied"] = predicted.tolist(), copied.tolist()
+    return figures
+
+
+def command_error(model: Controller, rows: TensorDictBase) -> dict:
+    """Mean distance of the commands over the actuator's range, and what it is a distance to."""
+    wanted = "expert_action" if "expert_action" in rows else "action"
+    reference = rows.get("reference", None)
+    if reference is None:
+        # the set-points of trajectories that have none are the goal itself
+        reference = rows["embedding"].new_zeros(len(rows), model.spec.reference_dim)
+    # in parts: an autoencoder draws the frames of every row
+    pairs = zip(rows["embedding"].split(500), reference.split(500), strict=True)
+    command = torch.cat([model.act(*pair) for pair in pairs])
+    span = torch.tensor(model.spec.action_range, device=command.device)
+    error = float(((command - rows[wanted]).abs() / span).mean())
+    return {"command_nmae": error, "command_nmae_to": wanted}
+
+
+def probed(model: Controller, embedding: Tensor) -> Tensor:
+    """The states [N, n] that the probe reads from embeddings [N, d]."""
+    return torch.cat([model.probe(part) for part in embedding.split(500)])
 
 
 @torch.no_grad()
-def probed_prediction_error(model: nn.Module, embedded: TensorDictBase, longest: int) -> tuple[Tensor, Tensor]:
+def probed_prediction_error(model: Controller, embedded: TensorDictBase, longest: int) -> tuple[Tensor, Tensor]:
     """Distance of the probed state to the truth, for prediction and copied embedding, at horizons 1..longest.
 
     Every component of the state is divided by its standard deviation over the data before the root mean square.
@@ -64,7 +81,7 @@ def probed_prediction_error(model: nn.Module, embedded: TensorDictBase, longest:
     truth = torch.stack([embedded["state"][:, start + 1 : start + longest + 1] for start in starts])
     scale = embedded["state"].flatten(0, 1).std(0)
 
-    def error(probed: Tensor) -> Tensor:
-        return ((probed - truth) / scale).square().mean((0, 1, 3)).sqrt()
+    def error(states: Tensor) -> Tensor:
+        return ((states - truth) / scale).square().mean((0, 1, 3)).sqrt()
 
     return error(model.probe(rollout(model.predictor, origin, commands))), error(model.probe(origin)[..., None, :])

@@ -1,22 +1,23 @@
 """Plain ``nn.Module`` networks; no training code and no knowledge of the radio or the plant."""
 
 from tsjepa.models.actor import Actor
-from tsjepa.models.autoencoder import AutoencoderArchitecture, AutoencoderController
+from tsjepa.models.autoencoder import AutoencoderController, StateEstimator
+from tsjepa.models.controller import Controller
 from tsjepa.models.decoder import Decoder
 from tsjepa.models.encoder import Encoder
 from tsjepa.models.predictor import Predictor, rollout
 from tsjepa.models.probe import StateProbe
-from tsjepa.models.semantic import Architecture, SemanticController
+from tsjepa.models.semantic import SemanticController
 
 __all__ = [
     "Actor",
-    "Architecture",
-    "AutoencoderArchitecture",
     "AutoencoderController",
+    "Controller",
     "Decoder",
     "Encoder",
     "Predictor",
     "SemanticController",
+    "StateEstimator",
     "StateProbe",
     "rollout",
 ]

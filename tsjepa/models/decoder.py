@@ -47,6 +47,7 @@ class Decoder(nn.Module):
     ) -> None:
         super().__init__()
         self.embedding_dim, self.frame_stack, self.channels = embedding_dim, frame_stack, tuple(channels)
+        self.height, self.width = height, width
         self.scale = embedding_dim**0.5
         self.coarse_shape = (channels[0], height // (8 * PATCH), width // (8 * PATCH))
         self.hidden = nn.Linear(embedding_dim, embedding_dim)

@@ -1,8 +1,8 @@
 """The model zoo: folders of weights and configuration that load in one line and prove that they are whole.
 
-An entry is ``config.yaml`` (kind and sizes), ``model.safetensors`` (weights and statistics), ``metrics.json`` (figures
-and how they were measured), ``README.md`` (model card) and ``manifest.json`` (SHA-256 of the others, the card
-excepted). Nothing in it is ever unpickled.
+An entry is ``config.yaml`` (class paths and arguments of the model's parts), ``model.safetensors`` (weights and
+statistics), ``metrics.json`` (figures and how they were measured), ``README.md`` (model card) and ``manifest.json``
+(SHA-256 of the others, the card excepted). Nothing in it is ever unpickled.
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ from __future__ import annotations
 import hashlib
 import json
 import shutil
-from dataclasses import asdict, fields
 from pathlib import Path
 
 import torch
@@ -19,19 +18,16 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 from torch import nn
 
-from tsjepa.models import Architecture, AutoencoderArchitecture, AutoencoderController, SemanticController, hub
+from tsjepa.models import hub
+from tsjepa.support.description import build, describe
 from tsjepa.support.files import exclusive, replace_folder
+from tsjepa.support.spec import PlantSpec
 
-# What config.yaml may name as its kind, and the class and sizes that rebuild it; without a kind it is the first.
-KINDS = {
-    "tsjepa": (SemanticController, Architecture),
-    "autoencoder": (AutoencoderController, AutoencoderArchitecture),
-}
+FORMAT = 2
 FILES = ("config.yaml", "model.safetensors", "metrics.json", "README.md", "manifest.json")
 CONFIG, WEIGHTS, METRICS, CARD, MANIFEST = FILES
 HASHED = (CONFIG, WEIGHTS, METRICS)
-# Beginnings of tensors that an entry may lack, all or none of them; what needs them says so when it is used.
-OPTIONAL = {"tsjepa": ("decoder.", "code_"), "autoencoder": ("code_",)}
+LFS_POINTER = b"version https://git-lfs"
 WEIGHT_DTYPES = {"float32": torch.float32, "float16": torch.float16}
 
 
@@ -94,62 +90,70 @@ def verify(folder: Path, sha256: str | None = None) -> None:
         path = folder / name
         if not path.is_file():
             raise DamagedEntryError(f"{path} is missing; fetch the entry anew.")
-        if hashlib.sha256(path.read_bytes()).hexdigest() != digest:
+        content = path.read_bytes()
+        if content.startswith(LFS_POINTER):
+            raise DamagedEntryError(f"{path} is a pointer of Git LFS instead of the file itself: run `git lfs pull`.")
+        if hashlib.sha256(content).hexdigest() != digest:
             raise DamagedEntryError(f"{path} is not the file that the manifest names; fetch the entry anew.")
 
 
-def load(name_or_path: str | Path, sha256: str | None = None) -> nn.Module:
+def load(name_or_path: str | Path, sha256: str | None = None, trusted: bool = False) -> nn.Module:
     """Loads a model, ready to use on the CPU and in evaluation mode.
 
     Args:
         name_or_path: name of a shipped entry, the folder of one, or ``hf://owner/name[@revision]``, which fetches it
             from the Hugging Face Hub (see :mod:`tsjepa.models.hub`); nothing else is ever downloaded.
         sha256: :func:`fingerprint` of the entry, to accept this one only.
+        trusted: import classes that are not this package's own.
 
     Returns:
-        A controller of :data:`KINDS` with ``encode``, ``act``, ``predict`` and ``probe``, in float32. Its ``metrics``
-        and ``card`` are those of the entry, ``entry_sha256`` the entry's fingerprint.
+        A controller with ``encode``, ``act``, ``predict`` and ``probe``, in float32. Its ``metrics``, ``card`` and
+        ``plant`` are those of the entry, ``entry_sha256`` the entry's fingerprint.
 
     Raises:
         FileNotFoundError: no such entry.
         DamagedEntryError: a file is missing or has changed.
         ValueError: the entry is whole, but of a kind or with settings that this version does not know.
     """
-    folder = hub.download(*hub.parse(name_or_path)) if hub.is_address(name_or_path) else find(name_or_path)
+    folder = _download(name_or_path) if hub.is_address(name_or_path) else find(name_or_path)
     verify(folder, sha256)
-    config = yaml.safe_load((folder / CONFIG).read_text())
-    model = _rebuild(config, folder / CONFIG)
+    config = _config(folder / CONFIG)
+    model = build(config["model"], _part_of_a_model, trusted)
     weights = load_file(folder / WEIGHTS)
-    lacking = tuple(part for part in OPTIONAL[_kind(model)] if not any(name.startswith(part) for name in weights))
-    absent = {name: value for name, value in model.state_dict().items() if name.startswith(lacking)}
+    own = model.state_dict()
+    lacking = tuple(part for part in model.optional if not any(name.startswith(part) for name in weights))
+    absent = {name: value for name, value in own.items() if name.startswith(lacking)}
+    # a statistic of one number may be stored as a scalar
+    shaped = {
+        name: value.reshape(own[name].shape) if name in own and own[name].numel() == value.numel() else value
+        for name, value in weights.items()
+    }
     try:
-        model.load_state_dict(absent | weights)  # copies into float32
+        model.load_state_dict(absent | shaped)  # copies into float32
     except RuntimeError as error:
         raise ValueError(f"The weights in {folder / WEIGHTS} are not those of the model in {CONFIG}.") from error
-    model.entry_sha256 = fingerprint(folder)
+    model.entry_sha256, model.plant = fingerprint(folder), config.get("plant")
     model.metrics = json.loads((folder / METRICS).read_text())
     card = folder / CARD
     model.card = card.read_text(encoding="utf-8", errors="replace") if card.is_file() else ""
     return model.eval().requires_grad_(False)
 
 
-def _rebuild(config: dict, path: Path) -> nn.Module:
-    kind = config.pop("kind", next(iter(KINDS)))
-    if kind not in KINDS:
-        raise ValueError(f"{path} names the kind {kind!r}; this version knows {', '.join(KINDS)}.")
-    controller, architecture = KINDS[kind]
-    unknown = set(config) - {field.name for field in fields(architecture)}
-    if unknown:
-        raise ValueError(f"{path} has settings that this version does not know: {', '.join(sorted(unknown))}.")
-    return controller(architecture(**{n: tuple(v) if isinstance(v, list) else v for n, v in config.items()}))
+def _part_of_a_model(kind: type) -> bool:
+    return issubclass(kind, (nn.Module, PlantSpec))
 
 
-def _kind(model: nn.Module) -> str:
-    for kind, (controller, _) in KINDS.items():
-        if type(model) is controller:
-            return kind
-    known = ", ".join(controller.__name__ for controller, _ in KINDS.values())
-    raise TypeError(f"A {type(model).__name__} is no model of the zoo, which holds {known}.")
+def _download(address: str | Path) -> Path:
+    repository, revision = hub.parse(address)
+    return hub.download(repository, FILES, revision)
+
+
+def _config(path: Path) -> dict:
+    config = yaml.safe_load(path.read_text())
+    if not isinstance(config, dict) or config.get("format") != FORMAT or "model" not in config:
+        found = config.get("format", 1) if isinstance(config, dict) else "none"
+        raise ValueError(f"{path} has the format {found}; this version reads {FORMAT}: fetch the entry anew.")
+    return config
 
 
 def save(
@@ -158,7 +162,7 @@ def save(
     """Writes an entry beside ``folder`` and renames it: a reader finds the old one or the new one, never half of one.
 
     Args:
-        model: of a class in :data:`KINDS`; what :func:`load` will give back.
+        model: a controller, of whose parts each keeps its arguments (see :func:`tsjepa.support.description.describe`).
         folder: replaced if it is there.
         metrics: figures for ``metrics.json``.
         card: text of the model card.
@@ -166,21 +170,20 @@ def save(
             tensor with a value beyond the range of float16.
 
     Raises:
-        ValueError: another dtype.
-        TypeError: a model of no kind that :func:`load` could rebuild.
+        ValueError: another dtype, or a part of the model that cannot be described.
         FileExistsError: another process is writing the same entry.
         OSError: no room, or no right to write; what was there stays.
     """
     if dtype not in WEIGHT_DTYPES:
         raise ValueError(f"Weights are stored as {' or '.join(WEIGHT_DTYPES)}, not as {dtype!r}.")
-    kind = _kind(model)
+    config = {"format": FORMAT, "model": describe(model, _part_of_a_model), "plant": model.plant}
     folder = Path(folder)
     with exclusive(folder):
         partial = folder.with_name(folder.name + ".partial")
         shutil.rmtree(partial, ignore_errors=True)
         partial.mkdir(parents=True)
         try:
-            _write(model, kind, partial, metrics or {}, card, WEIGHT_DTYPES[dtype])
+            _write(model, config, partial, metrics or {}, card, WEIGHT_DTYPES[dtype])
         except (OSError, SafetensorError) as error:
             shutil.rmtree(partial, ignore_errors=True)
             raise OSError(f"The model could not be written to {folder} ({error}); what was there is whole.") from error
@@ -188,9 +191,8 @@ def save(
     return folder
 
 
-def _write(model: nn.Module, kind: str, partial: Path, metrics: dict, card: str, dtype: torch.dtype) -> None:
-    sizes = {name: list(v) if isinstance(v, tuple) else v for name, v in asdict(model.architecture).items()}
-    (partial / CONFIG).write_text(yaml.safe_dump({"kind": kind} | sizes, sort_keys=False))
+def _write(model: nn.Module, config: dict, partial: Path, metrics: dict, card: str, dtype: torch.dtype) -> None:
+    (partial / CONFIG).write_text(yaml.safe_dump(config, sort_keys=False))
     (partial / METRICS).write_text(json.dumps(metrics, indent=2) + "\n")
     (partial / CARD).write_text(card, encoding="utf-8")
     save_file(_stored(model, dtype), partial / WEIGHTS)

@@ -20,20 +20,24 @@ class Predictor(nn.Module):
         embedding_dim: d.
         hidden_dim: width of the hidden layer (1024 in the paper).
         residual: output the change of the embedding instead of the embedding.
+        action_dim: m, numbers in a command.
     """
 
-    def __init__(self, embedding_dim: int = 256, hidden_dim: int = 1024, residual: bool = True) -> None:
+    def __init__(
+        self, embedding_dim: int = 256, hidden_dim: int = 1024, residual: bool = True, action_dim: int = 1
+    ) -> None:
         super().__init__()
-        at_least(1, embedding_dim=embedding_dim, hidden_dim=hidden_dim)
-        self.residual = residual
+        at_least(1, embedding_dim=embedding_dim, hidden_dim=hidden_dim, action_dim=action_dim)
+        self.embedding_dim, self.hidden_dim, self.residual = embedding_dim, hidden_dim, residual
+        self.action_dim = action_dim
         self.scale = embedding_dim**0.5
-        self.hidden = nn.Linear(embedding_dim + 1, hidden_dim)
+        self.hidden = nn.Linear(embedding_dim + action_dim, hidden_dim)
         self.output = nn.Linear(hidden_dim, embedding_dim)
-        self.register_buffer("command_mean", torch.zeros(()))
-        self.register_buffer("command_std", torch.ones(()))
+        self.register_buffer("command_mean", torch.zeros(action_dim))
+        self.register_buffer("command_std", torch.ones(action_dim))
 
     def forward(self, embedding: Tensor, command: Tensor) -> Tensor:
-        """Next embedding [..., d] of unit length from ``embedding`` [..., d] and ``command`` [..., 1] in newtons."""
+        """Next embedding [..., d] of unit length from ``embedding`` [..., d] and ``command`` [..., m] in its units."""
         command = (command - self.command_mean) / self.command_std
         # unit-length embeddings have entries of 1/sqrt(d); the MLP wants them of order one
         hidden = F.relu(self.hidden(torch.cat((embedding * self.scale, command), dim=-1)))
@@ -45,9 +49,9 @@ def rollout(predictor: nn.Module, embedding: Tensor, commands: Tensor) -> Tensor
     """Feeds the predictor its own output; the one roll-out used by the loss, the estimator and the evaluation.
 
     Args:
-        predictor: maps (embedding [..., d], command [..., 1]) to the next embedding [..., d].
+        predictor: maps (embedding [..., d], command [..., m]) to the next embedding [..., d].
         embedding: start [..., d].
-        commands: newtons [..., K, 1], the command applied in each of K slots.
+        commands: [..., K, m], the command applied in each of K slots.
 
     Returns:
         Embeddings after each slot, [..., K, d].

@@ -1,53 +1,38 @@
-"""The camera: renders cart-poles from qpos alone, fast, through one persistent GL context."""
+"""The fast renderer: pictures of a MuJoCo model from joint positions alone, through one persistent GL context."""
 
 from __future__ import annotations
 
 import atexit
 import dataclasses
-import math
 import os
 import weakref
 
 import mujoco
 import numpy as np
 
-from tsjepa.plants.crop import Lens, half_extents, rectangles
-from tsjepa.plants.dynamics import load_model
+from tsjepa.plants.lens import Lens, View, rectangles
 from tsjepa.support.gl import missing_backend_message
 
-HEIGHT, WIDTH = 64, 128
-MOVING = ("cart", "pole")
-DEFAULT_COLORS = ((0.7, 0.5, 0.3), (0.7, 0.5, 0.3))
+DEFAULT_RGBA = (0.5, 0.5, 0.5, 1.0)  # of a geom that names no colour
 DISABLED = ("SHADOW", "REFLECTION", "SKYBOX", "FOG", "HAZE")
 
 
-@dataclasses.dataclass(frozen=True)
-class View:
-    """Where the camera is and how it samples: position (m), vertical field of view and clockwise-seen roll (degrees),
-    multi-samples, and the factor by which a larger picture is rendered and averaged down."""
-
-    fovy: float
-    position: tuple[float, float, float]
-    roll: float
-    samples: int
-    supersampling: int
+def moving_geoms(model: mujoco.MjModel) -> list[int]:
+    """The geoms that are fixed to a body which moves."""
+    return [geom for geom in range(model.ngeom) if model.body_weldid[model.geom_bodyid[geom]] != 0]
 
 
-# A rolled camera meets every edge at many sub-pixel phases, and four samples on a doubled grid make sixteen a pixel:
-# two frames 40 ms apart then give velocity to 5 mm/s, against 35 for an upright view with four samples, 49 with none.
-# The width just holds the cart and the leaning pole at |x| <= 1.3 m, |theta| <= 0.35 rad.
-VIEW = View(fovy=24.4, position=(0.04, -4.0, 1.45), roll=5.0, samples=4, supersampling=2)
+def view_camera(model: mujoco.MjModel) -> int:
+    """Index of the camera called "view", or of the first one."""
+    return max(0, mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_CAMERA, "view"))
 
 
-def apply_view(model: mujoco.MjModel, view: View, height: int, width: int) -> None:
-    """Point the model's only camera, and size its off-screen buffer, for `view`."""
-    level, turn, pose = np.zeros(4), np.zeros(4), np.zeros(4)
-    mujoco.mju_axisAngle2Quat(level, np.array([1.0, 0.0, 0.0]), math.pi / 2)
-    mujoco.mju_axisAngle2Quat(turn, np.array([0.0, 0.0, 1.0]), math.radians(view.roll))
-    mujoco.mju_mulQuat(pose, level, turn)
-    model.cam_pos[0], model.cam_quat[0], model.cam_fovy[0] = view.position, pose, view.fovy
-    model.vis.global_.offheight, model.vis.global_.offwidth = height, width
-    model.vis.quality.offsamples = view.samples
+def geom_colors(model: mujoco.MjModel, geoms: list[int]) -> np.ndarray:
+    """RGB float32 [len(geoms), 3] as MuJoCo takes it: the material's, where the geom has one and names no colour."""
+    colors = model.geom_rgba[geoms].copy()
+    plain = (colors == DEFAULT_RGBA).all(axis=1) & (model.geom_matid[geoms] >= 0)
+    colors[plain] = model.mat_rgba[model.geom_matid[geoms][plain]]
+    return colors[:, :3].astype(np.float32)
 
 
 def _release(gl: mujoco.GLContext, context: mujoco.MjrContext) -> None:
@@ -57,44 +42,45 @@ def _release(gl: mujoco.GLContext, context: mujoco.MjrContext) -> None:
 
 
 class Renderer:
-    """Renders frames of cart-poles; keeps its GL context, scene and buffers between calls.
+    """Renders frames of a model; keeps its GL context, scene and buffers between calls.
 
     The context is made on the first frame, so an instance costs nothing (and needs no GL) until then. The background is
-    rendered once; of every frame only the rectangle around cart and pole is, and put into it.
+    rendered once; of every frame only the rectangle around what moves is, and put into it.
 
     Args:
-        height: frame height in pixels.
-        width: frame width in pixels.
+        model: whose moving parts are geoms.
         view: the camera.
+        height, width: of a frame in pixels.
     """
 
-    def __init__(self, height: int = HEIGHT, width: int = WIDTH, view: View = VIEW) -> None:
-        self.height, self.width, self.view = height, width, view
+    def __init__(self, model: mujoco.MjModel, view: View, height: int, width: int) -> None:
+        self.model, self.view, self.height, self.width = model, view, height, width
         self._gl = None
 
     def render(self, qpos: np.ndarray, colors: np.ndarray | None = None) -> np.ndarray:
-        """Render one frame per row.
+        """Renders one frame per row.
 
         Args:
-            qpos: [N, 2] cart position (m) and pole angle (rad, 0 upright).
-            colors: [N, 2, 3] RGB in [0, 1] of cart and pole, or None for the default colours.
+            qpos: [N, nq] joint positions, metres and radians.
+            colors: [N, parts, 3] RGB in [0, 1] of the moving geoms, in the model's order; None for the model's own.
 
         Returns:
             uint8 [N, height, width, 3], a fresh array.
 
         Raises:
-            ValueError: if qpos or colors has the wrong shape or is not finite, or colors leave [0, 1].
-            RuntimeError: if no GL backend is installed.
+            ValueError: qpos or colors has the wrong shape or is not finite, or colors leave [0, 1].
+            RuntimeError: no GL backend is installed.
         """
         qpos = np.asarray(qpos, np.float64)
-        if qpos.ndim != 2 or qpos.shape[1] != 2:
-            raise ValueError(f"qpos must have shape [N, 2] (x, theta), got {list(qpos.shape)}.")
+        if qpos.ndim != 2 or qpos.shape[1] != self.model.nq:
+            raise ValueError(f"qpos must have shape [N, {self.model.nq}], got {list(qpos.shape)}.")
         if not np.isfinite(qpos).all():
             raise ValueError(f"qpos must be finite, got {qpos[~np.isfinite(qpos).all(axis=1)][0]}.")
         if colors is not None:
             colors = np.asarray(colors, np.float32)
-            if colors.shape != (len(qpos), 2, 3):
-                raise ValueError(f"colors must have shape [{len(qpos)}, 2, 3], got {list(colors.shape)}.")
+            parts = len(moving_geoms(self.model))
+            if colors.shape != (len(qpos), parts, 3):
+                raise ValueError(f"colors must have shape [{len(qpos)}, {parts}, 3], got {list(colors.shape)}.")
             if not ((colors >= 0) & (colors <= 1)).all():
                 raise ValueError("colors must lie in [0, 1].")
         if not len(qpos):
@@ -102,12 +88,12 @@ class Renderer:
         self._ready()
         frames = np.repeat(self._background[None], len(qpos), axis=0)
         position, axes = self._poses(qpos)
-        for row, rectangle in enumerate(rectangles(self._lens, position, axes, self._extents)):
+        for row, rectangle in enumerate(rectangles(self._lens, position, axes, self._centres, self._extents)):
             left, bottom, width, height = rectangle.tolist()
             if width and height:
                 for part, shape in enumerate(self._shapes):
                     shape.pos, shape.mat = position[row, part], axes[row, part]
-                    shape.rgba[:3] = DEFAULT_COLORS[part] if colors is None else colors[row, part]
+                    shape.rgba[:3] = self._colors[part] if colors is None else colors[row, part]
                 top = self.height - bottom - height
                 frames[row, top : top + height, left : left + width] = self._draw(rectangle)
         return frames
@@ -130,18 +116,18 @@ class Renderer:
 
     def __reduce__(self):
         """A copy, or an instance sent to another process, makes its own context."""
-        return Renderer, (self.height, self.width, self.view)
+        return Renderer, (self.model, self.view, self.height, self.width)
 
     def _poses(self, qpos: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Centres [N, parts, 3] and axes [N, parts, 3, 3] of the moving parts."""
-        position = np.empty((len(qpos), len(MOVING), 3))
-        axes = np.empty((len(qpos), len(MOVING), 9))
+        """Origins [N, parts, 3] and axes [N, parts, 3, 3] of the moving parts."""
+        parts = len(self._geoms)
+        position, axes = np.empty((len(qpos), parts, 3)), np.empty((len(qpos), parts, 9))
         for row, coordinates in enumerate(qpos):
             self._data.qpos[:] = coordinates
-            mujoco.mj_kinematics(self._model, self._data)
+            mujoco.mj_kinematics(self.model, self._data)
             position[row] = self._data.geom_xpos[self._geoms]
             axes[row] = self._data.geom_xmat[self._geoms]
-        return position, axes.reshape(len(qpos), len(MOVING), 3, 3)
+        return position, axes.reshape(len(qpos), parts, 3, 3)
 
     def _draw(self, rectangle: np.ndarray) -> np.ndarray:
         """The scene within a rectangle (left, bottom, width, height) of the frame; uint8 [height, width, 3]."""
@@ -170,16 +156,17 @@ class Renderer:
                 self._gl = None
         scale = self.view.supersampling
         height, width = self.height * scale, self.width * scale
-        self._model = load_model()
-        apply_view(self._model, self.view, height, width)
+        self.model.vis.global_.offheight, self.model.vis.global_.offwidth = height, width
+        self.model.vis.quality.offsamples = self.view.samples
+        self.model.vis.global_.fovy = self.view.fovy
         try:
             gl = mujoco.GLContext(width, height)
             gl.make_current()
             # without any GL library it is only here that MuJoCo notices
-            self._context = mujoco.MjrContext(self._model, mujoco.mjtFontScale.mjFONTSCALE_100)
+            self._context = mujoco.MjrContext(self.model, mujoco.mjtFontScale.mjFONTSCALE_100)
         except Exception as error:
             raise RuntimeError(missing_backend_message()) from error
-        self._data = mujoco.MjData(self._model)
+        self._data = mujoco.MjData(self.model)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
         self._buffer = np.empty(height * width * 3, np.uint8)
         self._build_scene()
@@ -191,20 +178,27 @@ class Renderer:
         atexit.register(finalizer)
 
     def _build_scene(self) -> None:
-        self._scene = mujoco.MjvScene(self._model, maxgeom=16)
+        self._scene = mujoco.MjvScene(self.model, maxgeom=self.model.ngeom + 16)
         for flag in DISABLED:
             self._scene.flags[getattr(mujoco.mjtRndFlag, f"mjRND_{flag}")] = 0
         camera = mujoco.MjvCamera()
-        camera.type, camera.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, 0
-        mujoco.mj_forward(self._model, self._data)
+        camera.type, camera.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, view_camera(self.model)
+        mujoco.mj_forward(self.model, self._data)
         option = mujoco.MjvOption()
+        # of all that moves only geoms are drawn again in every frame
+        option.sitegroup[:], option.tendongroup[:], option.skingroup[:] = 0, 0, 0
         mujoco.mjv_updateScene(
-            self._model, self._data, option, None, camera, mujoco.mjtCatBit.mjCAT_ALL.value, self._scene
+            self.model, self._data, option, None, camera, mujoco.mjtCatBit.mjCAT_ALL.value, self._scene
         )
-        shapes = {shape.objid: shape for shape in self._scene.geoms[: self._scene.ngeom]}
-        self._geoms = [self._model.geom(name).id for name in MOVING]
+        geom = mujoco.mjtObj.mjOBJ_GEOM
+        shapes = {shape.objid: shape for shape in self._scene.geoms[: self._scene.ngeom] if shape.objtype == geom}
+        # what the viewer's options hide, such as collision shapes, has no shape in the scene
+        parts = [(part, geom) for part, geom in enumerate(moving_geoms(self.model)) if geom in shapes]
+        self._geoms = [geom for _, geom in parts]
         self._shapes = [shapes[geom] for geom in self._geoms]
-        self._extents = np.stack([half_extents(self._model, geom) for geom in self._geoms])
+        self._colors = geom_colors(self.model, self._geoms)
+        boxes = self.model.geom_aabb[self._geoms].reshape(-1, 2, 3)
+        self._centres, self._extents = boxes[:, 0], boxes[:, 1]
         self._lens = Lens.of(self._scene.camera[0], self.height, self.width)
         for shape in self._shapes:  # behind the camera, until the background is drawn
             shape.pos = self._lens.position - self._lens.axes[2] * 10

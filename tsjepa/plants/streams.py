@@ -8,11 +8,14 @@ from __future__ import annotations
 
 import numpy as np
 
-START, NOISE, CART_COLOR, POLE_COLOR = range(4)
+# Purposes. COLOR + i belongs to the i-th coloured part; a draw of many numbers uses purpose + BLOCK, + 2 BLOCK, ...
+START, NOISE, COLOR, REFERENCE = 0, 1, 2, 500
+BLOCK = 1000
 _MULTIPLIERS = np.uint64(0xD2511F53), np.uint64(0xCD9E8D57)
 _WEYL = np.uint64(0x9E3779B9), np.uint64(0xBB67AE85)
 _LOW = np.uint64(0xFFFFFFFF)
 _HALF = np.uint64(32)
+_ZERO = np.zeros(1, np.int64)
 
 
 def philox(counter: list[np.ndarray], key: tuple[int, int]) -> list[np.ndarray]:
@@ -31,16 +34,27 @@ def philox(counter: list[np.ndarray], key: tuple[int, int]) -> list[np.ndarray]:
     return [a, b, c, d]
 
 
-def uniforms(seed: int, purpose: int, device: np.ndarray, episode: np.ndarray, slot: np.ndarray) -> np.ndarray:
-    """Four uniform numbers in (0, 1) for each of N (device, episode, slot) triples of integers; returns [N, 4]."""
+def uniforms(
+    seed: int, purpose: int, device: np.ndarray, episode: np.ndarray, slot: np.ndarray = _ZERO, count: int = 4
+) -> np.ndarray:
+    """``count`` uniform numbers in (0, 1) for each of N (device, episode, slot) triples of integers; [N, count]."""
     shape = np.broadcast_shapes(device.shape, episode.shape, slot.shape)
-    words = [np.broadcast_to(v, shape).astype(np.uint64) & _LOW for v in (device, episode, slot, np.asarray(purpose))]
-    drawn = philox(words, (seed & 0xFFFFFFFF, (seed >> 32) & 0xFFFFFFFF))
-    return (np.stack(drawn, axis=-1) + 0.5) / 2.0**32
+    triple = [np.broadcast_to(values, shape).astype(np.uint64) & _LOW for values in (device, episode, slot)]
+    key = (seed & 0xFFFFFFFF, (seed >> 32) & 0xFFFFFFFF)
+    blocks = [
+        philox([*triple, np.full(shape, purpose + BLOCK * block, np.uint64)], key) for block in range(-(-count // 4))
+    ]
+    drawn = np.stack([word for block in blocks for word in block], axis=-1)[..., :count]
+    return (drawn + 0.5) / 2.0**32
 
 
-def normals(seed: int, purpose: int, device: np.ndarray, episode: np.ndarray, slot: np.ndarray) -> np.ndarray:
-    """Two standard normal numbers for each of N (device, episode, slot) triples (Box-Muller); returns [N, 2]."""
-    u = uniforms(seed, purpose, device, episode, slot)
-    radius, angle = np.sqrt(-2.0 * np.log(u[..., 0])), 2.0 * np.pi * u[..., 1]
-    return np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=-1)
+def normals(
+    seed: int, purpose: int, device: np.ndarray, episode: np.ndarray, slot: np.ndarray, count: int = 2
+) -> np.ndarray:
+    """``count`` standard normal numbers for each of N (device, episode, slot) triples (Box-Muller); [N, count]."""
+    pairs = []
+    for block in range(-(-count // 2)):
+        u = uniforms(seed, purpose + BLOCK * block, device, episode, slot, 2)
+        radius, angle = np.sqrt(-2.0 * np.log(u[..., 0])), 2.0 * np.pi * u[..., 1]
+        pairs += [radius * np.cos(angle), radius * np.sin(angle)]
+    return np.stack(pairs[:count], axis=-1)

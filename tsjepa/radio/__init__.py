@@ -1,4 +1,4 @@
-"""The radio and the schedulers: propagation, link, codecs, schedulers, and the TorchRL transforms that carry them."""
+"""The radio and the schedulers: propagation, link, codecs and schedulers, as plain functions of tensors."""
 
 from tsjepa.radio.age import (
     mean_age_lower_bound,
@@ -8,20 +8,21 @@ from tsjepa.radio.age import (
     whittle_index,
 )
 from tsjepa.radio.deployment import PAPER_LITERAL, Deployment
+from tsjepa.radio.knowledge import Known
 from tsjepa.radio.link import capacity, ergodic_efficiency, outage_probability, resource_units, units_per_slot
 from tsjepa.radio.loss import GilbertElliott, IidLoss
 from tsjepa.radio.path_loss import los_probability, path_loss_db
-from tsjepa.radio.schedulers import SCHEDULERS, ChannelKnowledge, gated, grant
+from tsjepa.radio.schedulers import SCHEDULERS, gated, grant, periodic
 from tsjepa.radio.simulation import AgeTrace, simulate_ages
 
 __all__ = [
     "PAPER_LITERAL",
     "SCHEDULERS",
     "AgeTrace",
-    "ChannelKnowledge",
     "Deployment",
     "GilbertElliott",
     "IidLoss",
+    "Known",
     "capacity",
     "ergodic_efficiency",
     "gated",
@@ -33,6 +34,7 @@ __all__ = [
     "mean_age_round_robin",
     "outage_probability",
     "path_loss_db",
+    "periodic",
     "resource_units",
     "simulate_ages",
     "units_per_slot",

@@ -18,6 +18,8 @@ import torch
 from torch import Tensor, nn
 
 Packets = Tensor | Sequence[bytes]
+FRAME_CODECS = ("raw", "png", "jpeg", "webp")
+STREAM = "stream-"  # before the name of a codec: the newest frame of a stack travels alone, see tsjepa.radio.video
 
 
 def payload_bits(packets: Packets) -> Tensor:

@@ -2,48 +2,24 @@
 
 Every scheduler has the signature
 
-    scheduler(age, channel, demand, budget, memory) -> (schedule, memory)
+    scheduler(known: Known) -> (schedule, memory)
 
-with I devices on the last dimension and any batch shape before it:
-
-    age      [..., I]  slots since the last delivery, counted before this slot (1 = delivered in the slot before)
-    channel  ChannelKnowledge, what the base station knows of each link
-    demand   [..., I]  int64 resource units that each device needs, or None: one each
-    budget   int or [...]  resource units in the slot
-    memory   [..., I]  float64, zeros at first, whatever the scheduler wants back next slot; it outlives the episodes
-    schedule [..., I]  bool
-
-A scheduler is usually a score handed to :func:`grant`; ties go to the device with the lower index.
+with ``schedule`` [..., I] bool and ``memory`` [..., I] float64, whatever the scheduler wants back in the next slot. It
+is usually a score handed to :func:`grant`; ties go to the device with the lower index.
 """
 
+import inspect
 from collections.abc import Callable
-from typing import NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from tsjepa.radio.age import whittle_index
+from tsjepa.radio.knowledge import Known
 from tsjepa.radio.streams import uniform
 
-
-class ChannelKnowledge(NamedTuple):
-    """What the base station knows of each link in this slot; all of shape [..., I].
-
-    Attributes:
-        snr: linear SNR as known (this slot's, an older slot's, or the mean).
-        success: probability that a transmission arrives, given that knowledge.
-        above_threshold: whether the known SNR reaches the threshold (the paper's constraint gamma >= gamma_th).
-        candidate: devices that may be scheduled at all.
-    """
-
-    snr: Tensor
-    success: Tensor
-    above_threshold: Tensor
-    candidate: Tensor
-
-
-SchedulerFunction = Callable[[Tensor, ChannelKnowledge, Tensor | None, int | Tensor, Tensor], tuple[Tensor, Tensor]]
+SchedulerFunction = Callable[[Known], tuple[Tensor, Tensor]]
 
 
 def grant(score: Tensor, candidate: Tensor, demand: Tensor | None, budget: int | Tensor) -> Tensor:
@@ -73,56 +49,52 @@ def grant(score: Tensor, candidate: Tensor, demand: Tensor | None, budget: int |
     return torch.zeros_like(candidate).scatter(-1, order, fits) & candidate
 
 
-def round_robin(age, channel, demand, budget, memory):
+def round_robin(known: Known):
     """Fixed cyclic order (the paper's baseline 4), blind to the channel. ``memory`` counts a device's grants."""
-    num_devices = memory.shape[-1]
-    ticket = memory * num_devices + torch.arange(num_devices, device=memory.device)
-    schedule = grant(-ticket, channel.candidate, demand, budget)
-    return schedule, memory + schedule
+    num_devices = known.memory.shape[-1]
+    ticket = known.memory * num_devices + torch.arange(num_devices, device=known.memory.device)
+    schedule = _grant(-ticket, known)
+    return schedule, known.memory + schedule
 
 
-def random(age, channel, demand, budget, memory, *, seed: int = 0):
+def random(known: Known, *, seed: int = 0):
     """A fresh random order in every slot. ``memory`` counts the slots."""
-    device = torch.arange(memory.numel(), device=memory.device).view_as(memory)
-    score = uniform(seed, "scheduler", device, memory.to(torch.int64))
-    return grant(score, channel.candidate, demand, budget), memory + 1
+    device = torch.arange(known.memory.numel(), device=known.memory.device).view_as(known.memory)
+    score = uniform(seed, "scheduler", device, known.memory.to(torch.int64))
+    return _grant(score, known), known.memory + 1
 
 
-def opportunistic(age, channel, demand, budget, memory):
+def opportunistic(known: Known):
     """Best channel first (the paper's baseline 5)."""
-    return grant(channel.snr, channel.candidate, demand, budget), memory
+    return _grant(known.snr, known), known.memory
 
 
-def max_age(age, channel, demand, budget, memory):
+def max_age(known: Known):
     """Oldest information first, blind to the channel."""
-    return grant(age, channel.candidate, demand, budget), memory
+    return _grant(known.age, known), known.memory
 
 
-def max_weight(age, channel, demand, budget, memory):
+def max_weight(known: Known):
     """Largest expected drop of the squared age: p h (h + 2), the quadratic Lyapunov drift (Kadota et al., 2018)."""
-    age = age.to(channel.success.dtype)
-    return grant(channel.success * age * (age + 2), channel.candidate, demand, budget), memory
+    age = known.age.to(known.success.dtype)
+    return _grant(known.success * age * (age + 2), known), known.memory
 
 
-def whittle(age, channel, demand, budget, memory):
+def whittle(known: Known):
     """Largest Whittle index of the age first; a device that cannot succeed is left out."""
-    score = whittle_index(age, channel.success)
-    return grant(score, channel.candidate & (channel.success > 0), demand, budget), memory
+    score = whittle_index(known.age, known.success)
+    return grant(score, known.candidate & (known.success > 0), known.demand, known.budget), known.memory
 
 
-def proportional_fair(age, channel, demand, budget, memory, *, horizon: float = 100.0):
+def proportional_fair(known: Known, *, horizon: float = 100.0):
     """Largest rate relative to the device's own mean rate. ``memory`` is that mean over about ``horizon`` slots."""
-    rate = torch.log2(1.0 + channel.snr)
-    schedule = grant(rate / memory.clamp(min=1e-9), channel.candidate, demand, budget)
-    return schedule, memory + (rate * schedule - memory) / horizon
+    rate = torch.log2(1.0 + known.snr)
+    schedule = _grant(rate / known.memory.clamp(min=1e-9), known)
+    return schedule, known.memory + (rate * schedule - known.memory) / horizon
 
 
 def channel_aware(
-    age,
-    channel,
-    demand,
-    budget,
-    memory,
+    known: Known,
     *,
     success_weight: float = 1.0,
     age_weight: float = 1.0,
@@ -136,26 +108,23 @@ def channel_aware(
     separable, so the top J by this gain solve the paper's problem exactly.
 
     Args:
+        known: what is known of the slot.
         success_weight, age_weight: w1 and w2.
         aoi_reset: "delivery" or "scheduled".
         snr_gate: keep the constraint gamma >= gamma_th.
     """
-    freshness = age_weight * torch.log1p(age.to(channel.success.dtype))
+    freshness = age_weight * torch.log1p(known.age.to(known.success.dtype))
     if aoi_reset == "delivery":
-        score = channel.success * (success_weight + freshness)
+        score = known.success * (success_weight + freshness)
     elif aoi_reset == "scheduled":
-        score = success_weight * channel.success + freshness
+        score = success_weight * known.success + freshness
     else:
         raise ValueError(f"unknown aoi_reset {aoi_reset!r}: choose 'delivery' or 'scheduled'")
-    return grant(score, _gate(channel, snr_gate), demand, budget), memory
+    return grant(score, _gate(known, snr_gate), known.demand, known.budget), known.memory
 
 
 def channel_aware_literal(
-    age,
-    channel,
-    demand,
-    budget,
-    memory,
+    known: Known,
     *,
     success_weight: float = 1.0,
     age_weight: float = 1.0,
@@ -166,26 +135,50 @@ def channel_aware_literal(
     beta is the updated age of a device that is not scheduled (the algorithm evaluates it before any alpha is set).
     Kept to show the failure.
     """
-    score = success_weight * channel.success - age_weight * torch.log1p(age.to(channel.success.dtype))
-    return grant(score, _gate(channel, snr_gate), demand, budget), memory
+    score = success_weight * known.success - age_weight * torch.log1p(known.age.to(known.success.dtype))
+    return grant(score, _gate(known, snr_gate), known.demand, known.budget), known.memory
 
 
-def oracle(age, channel, demand, budget, memory):
+def periodic(period: int) -> SchedulerFunction:
+    """A scheduler that serves each device in slot 0 of its episode and every ``period`` slots after it.
+
+    It ignores the channel and the budget. ``period`` 0 serves slot 0 only.
+    """
+    if period < 0:
+        raise ValueError(f"period {period} must be at least 1 slot, or 0 for the first slot of an episode only")
+
+    def periodic_scheduler(known: Known):
+        if known.slot is None:
+            raise ValueError(
+                f"a schedule of period {period} counts the slots of each device's episode, which nobody counts here: "
+                "use a plant that writes the key 'slot'"
+            )
+        due = known.slot % period == 0 if period else known.slot == 0
+        return known.candidate & due, known.memory
+
+    return periodic_scheduler
+
+
+def once(known: Known):
+    """Everybody in the first slot of its episode, whatever the budget, and nobody after it."""
+    return periodic(0)(known)
+
+
+def oracle(known: Known):
     """Everybody in every slot, whatever the budget: with a lossless uplink, perfect feedback."""
-    return channel.candidate.clone(), memory
+    return known.candidate.clone(), known.memory
 
 
-def none(age, channel, demand, budget, memory):
+def none(known: Known):
     """Nobody, ever."""
-    return torch.zeros_like(channel.candidate), memory
+    return torch.zeros_like(known.candidate), known.memory
 
 
 def gated(scheduler: SchedulerFunction) -> SchedulerFunction:
     """The same scheduler, allowed to pick only devices whose known SNR reaches the threshold."""
 
-    def gated_scheduler(age, channel, demand, budget, memory):
-        channel = channel._replace(candidate=channel.candidate & channel.above_threshold)
-        return scheduler(age, channel, demand, budget, memory)
+    def gated_scheduler(known: Known):
+        return scheduler(known._replace(candidate=known.candidate & known.above_threshold))
 
     return gated_scheduler
 
@@ -202,6 +195,7 @@ SCHEDULERS: dict[str, SchedulerFunction] = {
         max_weight,
         whittle,
         proportional_fair,
+        once,
         oracle,
         none,
     )
@@ -211,14 +205,30 @@ SCHEDULERS: dict[str, SchedulerFunction] = {
 def get_scheduler(scheduler: str | SchedulerFunction) -> SchedulerFunction:
     """A built-in scheduler by name; a function is passed through."""
     if callable(scheduler):
+        _check_signature(scheduler)
         return scheduler
     if scheduler not in SCHEDULERS:
         raise ValueError(f"unknown scheduler {scheduler!r}: choose one of {', '.join(SCHEDULERS)}, or pass a function")
     return SCHEDULERS[scheduler]
 
 
-def _gate(channel: ChannelKnowledge, snr_gate: bool) -> Tensor:
-    return channel.candidate & channel.above_threshold if snr_gate else channel.candidate
+def _check_signature(scheduler: Callable) -> None:
+    positional = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
+    parameters = inspect.signature(scheduler).parameters.values()
+    needed = [p.name for p in parameters if p.kind in positional and p.default is p.empty]
+    if len(needed) > 1:
+        raise ValueError(
+            f"a scheduler takes one argument, known; this one takes {', '.join(needed)}. Wrap it: "
+            "lambda known: scheduler(known.age, known, known.demand, known.budget, known.memory)"
+        )
+
+
+def _grant(score: Tensor, known: Known) -> Tensor:
+    return grant(score, known.candidate, known.demand, known.budget)
+
+
+def _gate(known: Known, snr_gate: bool) -> Tensor:
+    return known.candidate & known.above_threshold if snr_gate else known.candidate
 
 
 def _top(score: Tensor, candidate: Tensor, count: int) -> Tensor:

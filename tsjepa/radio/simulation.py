@@ -5,8 +5,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from tsjepa.radio.knowledge import Known
 from tsjepa.radio.link import db_to_linear
-from tsjepa.radio.schedulers import ChannelKnowledge, SchedulerFunction, get_scheduler
+from tsjepa.radio.schedulers import SchedulerFunction, get_scheduler
 
 _CHUNK_ELEMENTS = 2**18
 
@@ -67,15 +68,19 @@ def simulate_ages(
     generator = torch.Generator(device=device).manual_seed(seed)
     mean_snr = db_to_linear(mean_snr_db).to(device, torch.float32).expand(shape)
     threshold = float(db_to_linear(snr_threshold_db))
-    statistics = ChannelKnowledge(
-        mean_snr,
-        torch.exp(-threshold / mean_snr),
-        mean_snr >= threshold,
-        torch.ones(shape, dtype=torch.bool, device=device),
-    )
     # float32 counts exactly up to 2^24 and spares every score a conversion
     age = torch.ones(shape, device=device)
-    memory = torch.zeros(shape, dtype=torch.float64, device=device)
+    statistics = Known(
+        age=age,
+        snr=mean_snr,
+        success=torch.exp(-threshold / mean_snr),
+        above_threshold=mean_snr >= threshold,
+        candidate=torch.ones(shape, dtype=torch.bool, device=device),
+        budget=resource_blocks,
+        memory=torch.zeros(shape, dtype=torch.float64, device=device),
+    )
+    memory = statistics.memory
+    clock = torch.arange(slots, device=device)
     grants, deliveries = _Counter(shape, device), _Counter(shape, device)
     mean_age = torch.zeros((slots, batch), dtype=torch.float64, device=device)
     draws = torch.empty((max(1, _CHUNK_ELEMENTS // (batch * num_devices)), *shape), device=device)
@@ -87,17 +92,14 @@ def simulate_ages(
             draws = _draw_snr(draws if csi != "delayed" else torch.empty_like(draws), mean_snr, generator)
         snr = draws[row]
         decodable = snr >= threshold
+        known = statistics._replace(age=age, memory=memory, slot=clock[slot])
         if csi == "perfect":
-            channel = statistics._replace(snr=snr, success=decodable.to(snr.dtype), above_threshold=decodable)
+            known = known._replace(snr=snr, success=decodable.to(snr.dtype), above_threshold=decodable)
         elif csi == "delayed":
             past.append(snr)
             old = past.pop(0)
-            channel = statistics._replace(
-                snr=old, success=(old >= threshold).to(old.dtype), above_threshold=old >= threshold
-            )
-        else:
-            channel = statistics
-        schedule, memory = decide(age, channel, None, resource_blocks, memory)
+            known = known._replace(snr=old, success=(old >= threshold).to(old.dtype), above_threshold=old >= threshold)
+        schedule, memory = decide(known)
         delivered = schedule & decodable
         age = torch.where(delivered if aoi_reset == "delivery" else schedule, 1.0, age.add_(1.0))
         grants.add(schedule)

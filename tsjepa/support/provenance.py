@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import hashlib
+import inspect
 import os
-import platform
 import subprocess
 import sys
 from datetime import datetime, timezone
 from importlib.metadata import version
 from pathlib import Path
+
+from tsjepa.support.precision import LIMITS, cpu_flags, processor
 
 # what decides the figures; results lie elsewhere and change while they are made
 CODE = ("tsjepa", "recipes", "pyproject.toml")
@@ -29,13 +32,9 @@ def provenance() -> dict[str, str]:
 
 
 def machine() -> dict[str, str | int]:
-    """Processor, and its number of cores here."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-        name = next(line.split(":")[1].strip() for line in lines if line.startswith("model name"))
-    except (OSError, StopIteration):
-        name = platform.processor() or platform.machine()
-    return {"processor": name, "cores": os.cpu_count() or 1}
+    """Processor, its number of cores here, the instruction sets it has, and what the environment limits them to."""
+    limits = {name: os.environ[name] for name in LIMITS if name in os.environ}
+    return {"processor": processor(), "cores": os.cpu_count() or 1, "flags": " ".join(cpu_flags()), **limits}
 
 
 def commit_of(folder: Path) -> str | None:
@@ -46,6 +45,23 @@ def commit_of(folder: Path) -> str | None:
     commit = _git(folder, "describe", "--always", "--abbrev=10", "--exclude=*")
     changes = _git(folder, "status", "--porcelain", "--", *(f":/{part}" for part in CODE))
     return f"{commit}-dirty" if commit and changes else commit
+
+
+def code_hash(*others: object) -> str:
+    """SHA-256 over this package's source files and those that define ``others``, functions and classes of the user's.
+
+    Unlike a commit it also tells two states of a checkout apart that nobody has committed.
+    """
+    package = Path(__file__).parent.parent
+    files = {*package.rglob("*.py"), *(Path(inspect.getfile(other)) for other in others)}
+    digest = hashlib.sha256()
+    for file in sorted(files):
+        content = file.read_bytes()
+        digest.update(
+            f"{file.relative_to(package) if file.is_relative_to(package) else file.name} {len(content)} ".encode()
+        )
+        digest.update(content)
+    return digest.hexdigest()
 
 
 def _git(folder: Path, *arguments: str) -> str | None:

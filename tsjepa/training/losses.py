@@ -33,15 +33,18 @@ class InverseDynamics(nn.Module):
 
     Args:
         embedding_dim: d.
+        action_dim: m.
         hidden_dim: width of the hidden layer.
     """
 
-    def __init__(self, embedding_dim: int, hidden_dim: int = 256) -> None:
+    def __init__(self, embedding_dim: int, action_dim: int = 1, hidden_dim: int = 256) -> None:
         super().__init__()
         self.scale = embedding_dim**0.5
-        self.layers = nn.Sequential(nn.Linear(2 * embedding_dim + 1, hidden_dim), nn.ReLU(), nn.Linear(hidden_dim, 1))
+        self.layers = nn.Sequential(
+            nn.Linear(2 * embedding_dim + 1, hidden_dim), nn.ReLU(), nn.Linear(hidden_dim, action_dim)
+        )
 
     def forward(self, before: Tensor, after: Tensor, gap: int) -> Tensor:
-        """Mean z-scored command [..., 1] over the ``gap`` slots between ``before`` and ``after`` [..., d]."""
+        """Mean z-scored command [..., m] over the ``gap`` slots between ``before`` and ``after`` [..., d]."""
         gaps = torch.full_like(before[..., :1], gap / 4)
         return self.layers(torch.cat((before * self.scale, (after - before) * self.scale, gaps), dim=-1)).float()

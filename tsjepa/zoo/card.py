@@ -2,59 +2,52 @@
 
 from __future__ import annotations
 
-from torch import nn
+import re
+from collections.abc import Sequence
 
-from tsjepa.zoo.verify import own_rows
+from tsjepa.evaluation.summary import FIRST_LOST
+from tsjepa.models import Controller
+from tsjepa.support.spec import PlantSpec
+from tsjepa.zoo.figures import own_rows
 
 FRONT_MATTER = """---
 license: apache-2.0
 library_name: tsjepa
 pipeline_tag: robotics
-tags: [control, cart-pole, {tag}]
+tags: [control, {machine}, {tag}]
 ---
 """
 # By kind: the tag on the Hub, and what the model is.
 KINDS = {
     "tsjepa": (
         "jepa",
-        "Context encoder, predictor and semantic actor (TS-JEPA) for the cart-pole of tsjepa, at {interval:g} ms a "
-        "slot. A device sends an embedding of {dim} numbers instead of frames; between updates the controller predicts "
-        "it.",
+        "Context encoder, predictor and semantic actor (TS-JEPA) for {machine}, at {interval:g} ms a slot. A device "
+        "sends an embedding of {dim} numbers instead of frames; between updates the controller predicts it.",
     ),
     "supervised": (
         "imitation-learning",
-        "Supervised baseline for the cart-pole of tsjepa, at {interval:g} ms a slot: encoder and actor, trained "
-        "together on the expert's commands. It has no predictor; between updates the last command is held.",
+        "Supervised baseline for {machine}, at {interval:g} ms a slot: encoder and actor, trained together on the "
+        "expert's commands. It has no predictor; between updates the last command is held.",
     ),
     "autoencoder": (
         "autoencoder",
-        "Generative baseline for the cart-pole of tsjepa, at {interval:g} ms a slot: the code of {dim} numbers is "
-        "decoded to frames, a small network reads the state from them, and the expert's law gives the command. It has "
-        "no predictor; between updates the last command is held.",
+        "Generative baseline for {machine}, at {interval:g} ms a slot: the code of {dim} numbers is decoded to frames, "
+        "a small network reads the state from them, and the expert's law gives the command. It has no predictor; "
+        "between updates the last command is held.",
     ),
 }
 USE = (
-    "Simulated predictive control over a radio, comparison with other encoders, and a start for fits of one's own "
-    "(`pretrained: {name}` in a recipe)."
+    "Predictive control over a radio, comparison with other encoders, and a start for fits of one's own (`pretrained: "
+    "{name}` in a recipe)."
 )
 LIMITS = (
-    "It has seen one simulated cart-pole through one camera ({stack} frames of 64 x 128, {interval:g} ms apart): "
-    "another camera, plant or slot length needs a model of its own, and nothing here was tried on hardware. The scores "
-    "hold for |x| <= 0.8 m, |theta| <= 0.3 rad and velocities within 0.3 at the start, {noise}; colours and light "
-    "other than the training's were not tested."
+    "It has seen one {machine} through one camera ({stack} frames of {height} x {width}, {interval:g} ms apart): "
+    "another camera, machine or slot length needs a model of its own, and nothing here was tried on hardware.{plant} "
+    "Colours and light other than the training's were not tested."
 )
 
 
-def kind_of(model: nn.Module) -> str:
-    """A key of :data:`KINDS`."""
-    from tsjepa.models import SemanticController
-
-    if not isinstance(model, SemanticController):
-        return "autoencoder"
-    return "tsjepa" if model.architecture.has_predictor else "supervised"
-
-
-def card(name: str, model: nn.Module, metrics: dict) -> str:
+def card(name: str, model: Controller, metrics: dict) -> str:
     """The card in Markdown.
 
     Args:
@@ -63,51 +56,75 @@ def card(name: str, model: nn.Module, metrics: dict) -> str:
         metrics: what ``tsjepa evaluate`` wrote, with ``training``, ``data_sets``, ``trained_with`` and ``weights`` as
             :func:`tsjepa.zoo.export.export` adds them; parts that are absent leave no line.
     """
-    architecture = model.architecture
-    interval_ms = 1000 * architecture.sampling_interval
-    tag, what = KINDS[kind_of(model)]
-    noise = metrics.get("process_noise_std", 0)
+    spec, machine = model.spec, machine_name(model)
+    tag, what = KINDS[model.kind]
+    height, width = spec.frame
+    plant = metrics.get("plant")
     sections = [
-        FRONT_MATTER.format(tag=tag) + f"# {name}",
-        what.format(interval=interval_ms, dim=architecture.embedding_dim),
-        usage(name, has_predictor=kind_of(model) == "tsjepa"),
+        FRONT_MATTER.format(tag=tag, machine=machine) + f"# {name}",
+        what.format(machine=f"the {machine}", interval=1000 * spec.slot, dim=model.embedding_dim),
+        usage(name, model),
         *figures(metrics),
-        *training(metrics),
+        *training(metrics, spec),
         "## Use and limits",
         USE.format(name=name),
         LIMITS.format(
-            stack=architecture.frame_stack,
-            interval=interval_ms * architecture.frame_spacing,
-            noise=f"with noise of {noise:g} on both velocities after every slot" if noise else "without process noise",
+            machine=machine,
+            stack=model.frame_stack,
+            height=height,
+            width=width,
+            interval=1000 * spec.slot * model.frame_spacing,
+            plant=f" The scores hold for {settings(plant)}." if plant and own_rows(metrics) else "",
         ),
     ]
     return "\n\n".join(sections) + "\n"
 
 
-def usage(name: str, has_predictor: bool) -> str:
+def machine_name(model: Controller) -> str:
+    """What the plant's class is called, in words joined by hyphens; "recording" where there is no plant."""
+    if model.plant is None:
+        return "recording"
+    return re.sub(r"(?<=[a-z])(?=[A-Z])", "-", model.plant["class_path"].rpartition(".")[2]).lower()
+
+
+def settings(plant: dict) -> str:
+    """The plant's class path, with its arguments."""
+    arguments = ", ".join(f"{name}={value}" for name, value in (plant.get("init_args") or {}).items())
+    return f"`{plant['class_path']}({arguments})`"
+
+
+def usage(name: str, model: Controller) -> str:
     """How to load and call it."""
+    spec, set_points = model.spec, getattr(getattr(model, "actor", None), "reference_low", ())
+    reference = numbers("reference", "r", spec.reference_names, spec.reference_units)
     lines = [
         "```python",
         "import tsjepa",
         "",
         f'model = tsjepa.load("{name}")',
         "z = model.encode(frames)  # uint8 [..., kappa, H, W, 3] -> [..., d]",
-        "u = model.act(z)  # newtons",
-        *(["z_next = model.predict(z, u)"] if has_predictor else []),
+        f"u = model.act(z{', reference' if set_points else ''})  "
+        f"# {numbers('', 'm', spec.action_names, spec.action_units)}{f'; {reference}' if set_points else ''}",
+        *(["z_next = model.predict(z, u)"] if model.has_predictor else []),
         "```",
     ]
     return "\n".join(lines)
 
 
+def numbers(name: str, count: str, names: Sequence[str], units: Sequence[str]) -> str:
+    """Shape of a tensor, and what its numbers are."""
+    meanings = ", ".join(f"{each} ({unit})" for each, unit in zip(names, units, strict=False))
+    return f"{name} [..., {count}]{': ' if meanings else ''}{meanings}".strip()
+
+
 def figures(metrics: dict) -> list[str]:
     """The closed loops; nothing where nobody has evaluated the model."""
-    from tsjepa.evaluation.evaluate import ANGLE_LIMIT, FIRST_SLOT
-
     rows = own_rows(metrics)
     if not rows:
         return []
     made_by, machine = metrics["made_by"], metrics.get("machine")
     on = f" on {machine['cores']} cores of {machine['processor']}" if machine else ""
+    drawn = (metrics.get("camera") or {}).get("gl_renderer")
     lines = [
         "| update every | normalised score (95 %) | failures | command NMAE | bits per slot |",
         "|---|---|---|---|---|",
@@ -122,17 +139,21 @@ def figures(metrics: dict) -> list[str]:
         f"Closed loop on {metrics['starts']} held-out starts; normalised by {metrics['optimal_policy']} with perfect "
         "feedback. All figures are in metrics.json.",
         "\n".join(lines),
-        *(
-            f"Sent once, the mean error of the probed angle passes {ANGLE_LIMIT} rad "
-            f"{'in no slot' if row[FIRST_SLOT] is None else f'first in slot {row[FIRST_SLOT]}'}."
-            for row in rows.values()
-            if FIRST_SLOT in row
-        ),
-        f"Made by `{made_by['command']}` at commit {made_by['commit']}, {made_by['date']}{on}.",
+        *(watched(row) for row in rows.values() if FIRST_LOST in row),
+        f"Made by `{made_by['command']}` at commit {made_by['commit']}, {made_by['date']}{on}"
+        f"{f', pictures drawn by {drawn}' if drawn else ''}.",
     ]
 
 
-def training(metrics: dict) -> list[str]:
+def watched(row: dict) -> str:
+    """When the error of the state that the plant watches passes its limit."""
+    slot = row[FIRST_LOST]
+    return "Sent once, the mean error of the probed {state} passes {limit:g} {unit} {when}.".format(
+        **row["watched"], when="in no slot" if slot is None else f"first in slot {slot}"
+    )
+
+
+def training(metrics: dict, spec: PlantSpec) -> list[str]:
     """Commands, data and weights."""
     lines = []
     for fit in metrics.get("training", []):
@@ -140,10 +161,8 @@ def training(metrics: dict) -> list[str]:
         lines.append(f"- `{fit['command']}` ({', '.join(origin)})")
     for data in metrics.get("data_sets", []):
         episodes = ", ".join(f"{count} {split}" for split, count in data["episodes"].items())
-        lines.append(
-            f"- data `{data['path']}`, episodes of {data['slots']} slots of {1000 * data['sampling_interval']:g} ms: "
-            f"{episodes}"
-        )
+        length = f"episodes of {data['slots']} slots" if "slots" in data else "episodes of slots"
+        lines.append(f"- data `{data['path']}`, {length} of {1000 * spec.slot:g} ms: {episodes}")
     if metrics.get("trained_with"):
         lines.append(f"- {metrics['trained_with']}")
     if "weights" in metrics:

@@ -7,6 +7,7 @@ import json
 import logging
 import shutil
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -14,8 +15,8 @@ import torch
 from torch import Tensor, nn
 from torch.export import Dim, ExportedProgram
 
-from tsjepa.envs.embedding_codec import embedding_codec
-from tsjepa.models import entries
+from tsjepa.envs.payload import embedding_codec
+from tsjepa.models import AutoencoderController, Controller, entries
 from tsjepa.radio.codecs import payload_bits
 from tsjepa.support.files import exclusive, replace_folder
 from tsjepa.support.provenance import provenance
@@ -29,36 +30,47 @@ ROWS = 2  # of the examples; a single one torch.export would take for a constant
 class Device(nn.Module):
     """What runs beside the camera: frames uint8 [N, frame_stack, H, W, 3] to payload uint8 [N, bytes]."""
 
-    def __init__(self, model: nn.Module, codec: nn.Module) -> None:
+    def __init__(self, encoder: nn.Module, codec: nn.Module) -> None:
         super().__init__()
-        self.model, self.codec = model, codec
+        self.encoder, self.codec = encoder, codec
 
     def forward(self, frames: Tensor) -> Tensor:
-        return self.codec.encode(self.model.encode(frames))
+        return self.codec.encode(self.encoder(frames))
 
 
 class Receive(nn.Module):
-    """A slot with an update: payload uint8 [N, bytes] to embedding [N, d] and command [N, 1] in newtons."""
+    """A slot with an update: payload uint8 [N, bytes] and set-points [N, r] to embedding [N, d] and command [N, m]."""
 
-    def __init__(self, model: nn.Module, codec: nn.Module) -> None:
+    def __init__(self, codec: nn.Module, act: nn.Module) -> None:
         super().__init__()
-        self.model, self.codec = model, codec
+        self.codec, self.act = codec, act
 
-    def forward(self, payload: Tensor) -> tuple[Tensor, Tensor]:
+    def forward(self, payload: Tensor, reference: Tensor | None = None) -> tuple[Tensor, Tensor]:
         embedding = self.codec.decode(payload)
-        return embedding, self.model.act(embedding)
+        return embedding, self.act(embedding, reference)
 
 
 class Predict(nn.Module):
-    """A slot without one: embedding [N, d] and command [N, 1] of the slot before to those of this slot."""
+    """A slot without one: embedding [N, d] and command [N, m] of the slot before (and set-points) to those of this."""
 
-    def __init__(self, model: nn.Module) -> None:
+    def __init__(self, predictor: nn.Module, act: nn.Module) -> None:
         super().__init__()
-        self.model = model
+        self.predictor, self.act = predictor, act
 
-    def forward(self, embedding: Tensor, command: Tensor) -> tuple[Tensor, Tensor]:
-        embedding = self.model.predict(embedding, command)
-        return embedding, self.model.act(embedding)
+    def forward(self, embedding: Tensor, command: Tensor, reference: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        embedding = self.predictor(embedding, command)
+        return embedding, self.act(embedding, reference)
+
+
+class Reconstruct(nn.Module):
+    """How an autoencoder acts: embedding [N, d] to frames, to the state, by the law (and set-points) to a command."""
+
+    def __init__(self, decoder: nn.Module, estimator: nn.Module, law: nn.Module) -> None:
+        super().__init__()
+        self.decoder, self.estimator, self.law = decoder, estimator, law
+
+    def forward(self, embedding: Tensor, reference: Tensor | None = None) -> Tensor:
+        return self.law(self.estimator(self.decoder.draw(embedding)), reference)
 
 
 class Graph(NamedTuple):
@@ -69,40 +81,41 @@ class Graph(NamedTuple):
     outputs: tuple[str, ...]
 
 
-def graphs(model: nn.Module) -> dict[str, Graph]:
+def graphs(model: Controller) -> dict[str, Graph]:
     """What a deployment consists of: ``device``, ``receive`` and, where the model has a predictor, ``predict``.
+
+    Each holds only the parts that it needs. Where the actor takes set-points they are an input of the last two.
 
     Raises:
         ValueError: the model came without the ranges of its integer codec.
     """
     codec = embedding_codec(CODEC, model)
+    if isinstance(model, AutoencoderController):
+        act, set_points = Reconstruct(model.decoder, model.estimator, model.law), model.spec.reference_dim
+    else:
+        act, set_points = model.actor, len(getattr(model.actor, "reference_low", ()))
     frames = torch.zeros((ROWS, *model.encoder.frame_shape), dtype=torch.uint8)
-    embedding, command = torch.zeros(ROWS, model.architecture.embedding_dim), torch.zeros(ROWS, 1)
-    outputs = ("next_embedding", "next_command")
+    embedding, command = torch.zeros(ROWS, model.embedding_dim), torch.zeros(ROWS, model.spec.action_dim)
+    reference = {"reference": torch.zeros(ROWS, set_points)} if set_points else {}
+    payload = {"payload": codec.encode(embedding)}
     made = {
-        "device": Graph(Device(model, codec), {"frames": frames}, ("payload",)),
-        "receive": Graph(Receive(model, codec), {"payload": codec.encode(embedding)}, ("embedding", "command")),
-        "predict": Graph(Predict(model), {"embedding": embedding, "command": command}, outputs),
+        "device": Graph(Device(model.encoder, codec), {"frames": frames}, ("payload",)),
+        "receive": Graph(Receive(codec, act), payload | reference, ("embedding", "command")),
     }
-    return made if model.architecture.has_predictor else {name: made[name] for name in ("device", "receive")}
+    if model.has_predictor:
+        inputs, outputs = {"embedding": embedding, "command": command}, ("next_embedding", "next_command")
+        made["predict"] = Graph(Predict(model.predictor, act), inputs | reference, outputs)
+    return made
 
 
 def traced(graph: Graph) -> ExportedProgram:
-    """The graph for any number of rows, with the weights that it uses and no others."""
+    """The graph for any number of rows."""
     rows = Dim("rows")
     program = torch.export.export(
         graph.module.eval(), tuple(graph.inputs.values()), dynamic_shapes=tuple({0: rows} for _ in graph.inputs)
     )
-    nodes = {node.name: node for node in program.graph.nodes}
-    inputs = program.graph_signature.input_specs
-    for spec in [spec for spec in inputs if spec.target is not None and not nodes[spec.arg.name].users]:
-        inputs.remove(spec)
-        program.graph.erase_node(nodes[spec.arg.name])
-        program.state_dict.pop(spec.target, None)
-        program.constants.pop(spec.target, None)
     for node in program.graph.nodes:
         node.meta.pop("stack_trace", None)  # it names files of this machine
-    program.graph_module.recompile()
     return program
 
 
@@ -160,17 +173,19 @@ def deploy(model: str, folder: str, format: Literal["onnx", "torch_export"] = "o
     print(f"{model} deployed to {folder}: {', '.join(sorted(path.name for path in target.iterdir()))}.")
 
 
-def description(name: str, model: nn.Module, parts: dict[str, Graph]) -> dict:
+def description(name: str, model: Controller, parts: dict[str, Graph]) -> dict:
     """What a user of the graphs has to know: shapes, payload, and which frames make a stack."""
-    architecture = model.architecture
+    spec, takes = model.spec, parts["receive"].inputs
     return {
         "made_by": provenance(),
         "model": name,
         "codec": CODEC,
         "payload_bits": int(payload_bits(parts["receive"].inputs["payload"])[0]),
-        "frame_stack": architecture.frame_stack,
-        "frame_spacing_slots": architecture.frame_spacing,
-        "slot_seconds": architecture.sampling_interval,
+        "frame_stack": model.frame_stack,
+        "frame_spacing_slots": model.frame_spacing,
+        "slot_seconds": spec.slot,
+        "command": _numbers(spec.action_names, spec.action_units),
+        "reference": _numbers(spec.reference_names, spec.reference_units) if "reference" in takes else [],
         "graphs": {
             part: {
                 "inputs": {name: _signature(tensor) for name, tensor in graph.inputs.items()},
@@ -187,6 +202,11 @@ def _outputs(graph: Graph) -> tuple[Tensor, ...]:
     with torch.no_grad():
         made = graph.module(*graph.inputs.values())
     return made if isinstance(made, tuple) else (made,)
+
+
+def _numbers(names: Sequence[str], units: Sequence[str]) -> list[str]:
+    """What each number is and its unit."""
+    return [f"{name} ({unit})" for name, unit in zip(names, units, strict=False)]
 
 
 def _signature(tensor: Tensor) -> str:

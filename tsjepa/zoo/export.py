@@ -7,9 +7,8 @@ import tempfile
 from dataclasses import asdict
 from pathlib import Path
 
-from torch import nn
-
-from tsjepa.models import entries
+from tsjepa.evaluation.evaluate import evaluate
+from tsjepa.models import Controller, entries
 from tsjepa.zoo.card import card
 from tsjepa.zoo.training_history import data_sets, training_history
 from tsjepa.zoo.verify import rescore
@@ -57,7 +56,7 @@ def model_folder(run: str) -> Path:
     return inside if (inside / entries.MANIFEST).is_file() else entries.find(run)
 
 
-def evaluation_of(model: nn.Module, source: Path, evaluation: str | None, history: list[dict]) -> dict:
+def evaluation_of(model: Controller, source: Path, evaluation: str | None, history: list[dict]) -> dict:
     """The figures of ``model``, measured now unless they are there."""
     path = Path(evaluation) if evaluation else source.parent / "evaluation" / "evaluation.json"
     figures = json.loads(path.read_text()) if path.is_file() else {}
@@ -69,8 +68,6 @@ def evaluation_of(model: nn.Module, source: Path, evaluation: str | None, histor
         raise ValueError(
             f"{path} is not about the weights in {source}: leave --evaluation out, and they are evaluated."
         )
-    from tsjepa.evaluation.evaluate import evaluate
-
     data = [described["path"] for described in data_sets(history)]
     print(
         f"{source} is evaluated first{'' if data else ', in closed loop only: its data set is not here'}.", flush=True
@@ -78,7 +75,7 @@ def evaluation_of(model: nn.Module, source: Path, evaluation: str | None, histor
     return evaluate(str(source), output=str(path.parent), data=data[-1] if data else None)
 
 
-def checked_in_half(model: nn.Module, name: str, metrics: dict) -> list[dict]:
+def checked_in_half(model: Controller, name: str, metrics: dict) -> list[dict]:
     """Scores the weights as 16 bits hold them.
 
     Raises:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
 
 import yaml
 
 from tsjepa.data.storage import METADATA
 from tsjepa.models import entries
+
+KEPT = ("plant", "camera", "slots", "seed", "sha256")  # of a data set's metadata
 
 
 def training_history(folder: Path) -> list[dict]:
@@ -29,8 +30,9 @@ def training_history(folder: Path) -> list[dict]:
         return []
     config = yaml.safe_load(config_path.read_text())
     fit = metrics.get("made_by", {"command": f"tsjepa fit --config {config_path.as_posix()}"})
-    fit = fit | {"seed": config.get("seed_everything"), "data": _value(config.get("data"), "path")}
-    pretrained = _value(config.get("model"), "pretrained")
+    arguments = {part: (config.get(part) or {}).get("init_args") or {} for part in ("data", "model")}
+    fit = fit | {"seed": config.get("seed_everything"), "data": arguments["data"].get("path")}
+    pretrained = arguments["model"].get("pretrained")
     try:
         before = entries.find(pretrained) if pretrained else folder
     except FileNotFoundError:
@@ -44,16 +46,7 @@ def data_sets(history: list[dict]) -> list[dict]:
     for path in dict.fromkeys(fit["data"] for fit in history if fit["data"]):
         if (Path(path) / METADATA).is_file():
             metadata = json.loads((Path(path) / METADATA).read_text())
-            kept = {key: metadata[key] for key in ("sampling_interval", "slots", "seed", "random_colors", "sha256")}
+            kept = {key: metadata[key] for key in KEPT if key in metadata}
             episodes = {split: sizes["episodes"] for split, sizes in metadata["splits"].items()}
             described.append({"path": path, "episodes": episodes, **kept})
     return described
-
-
-def _value(config: Any, key: str) -> str | None:
-    """The first text under ``key``, however deep."""
-    if not isinstance(config, dict):
-        return None
-    if isinstance(config.get(key), str):
-        return config[key]
-    return next((found for value in config.values() if (found := _value(value, key)) is not None), None)

@@ -2,28 +2,31 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
-from pathlib import Path
 from statistics import fmean
 from typing import Literal
 
-import torch
-from torch import nn
+from scipy.stats import hypergeom
 
-from tsjepa.models.entries import METRICS, find, load, names
+from tsjepa.evaluation.conditions import held_out_loop, plant_of, warn_of_another_renderer
+from tsjepa.evaluation.metrics import normalized_score
+from tsjepa.evaluation.rollouts import every, perfect_feedback, run
+from tsjepa.models import Controller
+from tsjepa.models.entries import load, names
+from tsjepa.zoo.figures import key_figures, own_rows, table
 
-LISTED_PERIODS = (1, 5, 10)  # slots between updates
 VERIFIED_PERIODS = (1, 5)
 VERIFIED_SEEDS = 2
+NEEDED = ("seeds", "starts_per_seed", "slots", "frame_history", "optimal_policy", "codec", "blend")
 
 
-def zoo(action: Literal["list", "verify"] = "list", name: str | None = None) -> None:
+def zoo(action: Literal["list", "verify"] = "list", name: str | None = None, device: str = "cpu") -> None:
     """Lists the pretrained models, or re-hashes them and closes their loops again on some of their card's starts.
 
     Args:
         action: "list" or "verify".
         name: of one entry, or its folder; all that are shipped by default.
+        device: where the models compute while they are verified, such as cuda.
 
     Raises:
         DamagedEntryError: a file is missing or has changed.
@@ -35,52 +38,11 @@ def zoo(action: Literal["list", "verify"] = "list", name: str | None = None) -> 
         return
     failed = []
     for entry in chosen:
-        checks = rescore(load(entry), entry)
+        checks = rescore(load(entry).to(device), entry)
         print(*(f"{entry}: {check}" for check in checks), sep="\n", flush=True)
         failed += [entry] if not all(check.passed for check in checks) else []
     if failed:
         raise ValueError(f"Outside the interval of its card: {', '.join(failed)}; train or export it anew.")
-
-
-def own_rows(metrics: dict) -> dict[int | str, dict]:
-    """The closed loops of the model itself, by the slots between updates; none in an entry nobody has evaluated."""
-    rows = metrics.get("closed_loop", [])
-    # the others are the expert's, which sees the true state
-    return {row["update_every"]: row for row in rows if not row["controller"].startswith("expert")}
-
-
-def key_figures(name: str) -> dict:
-    """What the list shows of an entry; None where it was not measured."""
-    folder = find(name)
-    rows = own_rows(json.loads((folder / METRICS).read_text()))
-    every_slot = rows.get(1, {})
-    return {
-        "name": Path(name).name,
-        "scores": [rows.get(period, {}).get("normalized_score") for period in LISTED_PERIODS],
-        "command_nmae": every_slot.get("command_nmae"),
-        "bits_per_update": every_slot.get("bits_per_step"),
-        "megabytes": sum(path.stat().st_size for path in folder.iterdir()) / 1e6,
-    }
-
-
-def table(entries: list[dict]) -> str:
-    """The figures as aligned text; the scores are normalised by the optimal policy with perfect feedback."""
-    headings = ["every slot", *(f"every {period}" for period in LISTED_PERIODS[1:]), "NMAE", "bit/update", "MB"]
-    width = max([len("entry"), *(len(entry["name"]) for entry in entries)]) + 2
-    lines = [f"{'entry':<{width}}" + "".join(f"{heading:>12}" for heading in headings)]
-    for entry in entries:
-        figures = [
-            *(_number(score, ".3f") for score in entry["scores"]),
-            _number(entry["command_nmae"], ".4f"),
-            _number(entry["bits_per_update"], ".0f"),
-            _number(entry["megabytes"], ".1f"),
-        ]
-        lines.append(f"{entry['name']:<{width}}" + "".join(f"{figure:>12}" for figure in figures))
-    return "\n".join(lines)
-
-
-def _number(value: float | None, form: str) -> str:
-    return "-" if value is None else format(value, form)
 
 
 @dataclass(frozen=True)
@@ -120,57 +82,42 @@ def failures_allowed(row: dict, seeds: int) -> int:
 
     What 95 % of the ways to spread the failures of all its starts over them stay within; none where none failed.
     """
-    from scipy.stats import hypergeom
-
     run_again = row["starts"] * seeds // len(row["per_seed"])
     return int(hypergeom.ppf(0.95, row["starts"], row["failures"], run_again))
 
 
-def rescore(model: nn.Module, name: str) -> list[Check]:
+def rescore(model: Controller, name: str) -> list[Check]:
     """Closes the loops of ``model.metrics`` again on the first of their seeds; every start is one of the card's.
 
     Raises:
         ValueError: the figures do not say how the model scored, or how that was measured.
     """
-    from tsjepa.envs import Renderer
-    from tsjepa.envs.embedding_codec import embedding_codec
-    from tsjepa.evaluation.closed_loop import SemanticPolicy, Starts, run, true_state_policy
-    from tsjepa.evaluation.metrics import normalized_score
-    from tsjepa.plants.expert import Expert, reference_lqr
-
-    figures, interval_s = model.metrics, model.architecture.sampling_interval
+    figures = model.metrics
     rows = {period: row for period, row in own_rows(figures).items() if period in VERIFIED_PERIODS}
-    needed = (
-        "seeds",
-        "starts_per_seed",
-        "slots",
-        "frame_history",
-        "process_noise_std",
-        "optimal_policy",
-        "codec",
-        "blend",
-    )
-    if not rows or any("per_seed" not in row for row in rows.values()) or any(key not in figures for key in needed):
+    plant = plant_of(model)
+    if (
+        plant is None
+        or not rows
+        or any("per_seed" not in row for row in rows.values())
+        or any(key not in figures for key in NEEDED)
+    ):
         raise ValueError(f"The figures of {name} do not say how it scored: export it anew, with `tsjepa export`.")
-    plants = (figures["starts_per_seed"], figures["slots"], figures["frame_history"], interval_s)
-    sets = [Starts(seed, *plants, figures["process_noise_std"]) for seed in figures["seeds"][:VERIFIED_SEEDS]]
-    law = {"expert": Expert, "reference LQR": reference_lqr}[figures["optimal_policy"]](interval_s)
-    optimal = [run(starts, true_state_policy(law, 1)).raw_score() for starts in sets]
-    renderer, radio = Renderer(), embedding_codec(figures["codec"], model)
-
-    def sent(embedding: torch.Tensor) -> torch.Tensor:
-        return radio.decode(radio.encode(embedding))
+    warn_of_another_renderer(plant.camera(), figures)
+    seeds = figures["seeds"][:VERIFIED_SEEDS]
+    loop = held_out_loop(model, plant, blend=figures["blend"], codec=figures["codec"])
+    perfect = perfect_feedback(loop, figures["optimal_policy"])
+    optimal = [run(perfect, seed).raw_score() for seed in seeds]
 
     def check(period: int, row: dict) -> Check:
-        policies = [SemanticPolicy(model, renderer.render, period, figures["blend"], sent) for _ in sets]
-        loops = [run(*pair) for pair in zip(sets, policies, strict=True)]
+        runs = [run(every(loop, period), seed) for seed in seeds]
+        scores = [normalized_score(outcome.raw_score(), best) for outcome, best in zip(runs, optimal, strict=True)]
         return Check(
             update_every=period,
-            score=fmean(normalized_score(loop.raw_score(), best) for loop, best in zip(loops, optimal, strict=True)),
-            expected=fmean(row["per_seed"][: len(sets)]),
+            score=fmean(scores),
+            expected=fmean(row["per_seed"][: len(seeds)]),
             interval=row["interval_95"],
-            failures=sum(int(loop.failed().sum()) for loop in loops),
-            failures_allowed=failures_allowed(row, len(sets)),
+            failures=sum(int(outcome.failed().sum()) for outcome in runs),
+            failures_allowed=failures_allowed(row, len(seeds)),
         )
 
     return [check(period, row) for period, row in rows.items()]

@@ -31,11 +31,11 @@ def model():
 
 def test_the_ranges_are_the_extremes_of_the_embeddings_of_every_stack(model):
     splits = {"train": pixels(2, 0), "actor_train": pixels(1, 1), "test": pixels(2, 2)}
-    trainer = SimpleNamespace(is_global_zero=True, datamodule=SimpleNamespace(split=splits.__getitem__))
+    trainer = SimpleNamespace(datamodule=SimpleNamespace(split=splits.__getitem__))
     module = SimpleNamespace(controller=lambda: model)
     assert model.code_low.isnan().all()
     assert model.code_high.isnan().all()
-    FitCodec().on_fit_end(trainer, module)
+    FitCodec().finish(trainer, module)
     seen = []
     for split in (splits["train"], splits["actor_train"]):
         for frames in split["pixels"]:

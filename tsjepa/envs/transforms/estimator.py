@@ -26,11 +26,12 @@ class Estimator(SlotTransform):
     (whether anything has arrived in this episode).
 
     Args:
-        predict: (belief [*B, d], action [*B, 1]) -> belief one slot later; a module or any callable, run without
+        predict: (belief [*B, d], action [*B, m]) -> belief one slot later; a module or any callable, run without
             gradients. ``linear_model`` makes one.
         in_key: what arrives.
         blend: weight of a received value against the prediction; below 1 the two are mixed, except for the first value
             of an episode, which is always taken as it is.
+        unit_length: bring what was mixed back to unit length, as embeddings have it.
         initial: belief before anything has arrived, a number or a tensor [d].
     """
 
@@ -42,13 +43,14 @@ class Estimator(SlotTransform):
         predict: nn.Module | Callable[[Tensor, Tensor], Tensor],
         in_key: str = "received",
         blend: float = 1.0,
+        unit_length: bool = False,
         initial: float | Tensor = 0.0,
     ):
         if not 0.0 < blend <= 1.0:
             raise ValueError(f"blend {blend:g} must lie in (0, 1]")
         super().__init__(in_keys=[in_key], out_keys=["belief", "informed"])
         self.predict = predict
-        self.blend = blend
+        self.blend, self.unit_length = blend, unit_length
         self.register_buffer("initial", torch.as_tensor(initial, dtype=torch.float32))
 
     def _specs(self, incoming: Composite) -> dict[str, TensorSpec]:
@@ -72,9 +74,12 @@ class Estimator(SlotTransform):
         belief = previous["belief"]
         if fresh is None:
             belief = self.predict(belief, previous["action"]).to(torch.float32)
-        weight = torch.where(previous["informed"], self.blend, 1.0)
-        mixed = belief + weight.unsqueeze(-1) * (received - belief) if self.blend < 1.0 else received
-        return {"belief": select(delivered, mixed, belief), "informed": previous["informed"] | delivered}
+        taken = received
+        if self.blend < 1.0:
+            mixed = torch.lerp(belief, received, self.blend)
+            mixed = nn.functional.normalize(mixed, dim=-1) if self.unit_length else mixed
+            taken = select(previous["informed"], mixed, received)
+        return {"belief": select(delivered, taken, belief), "informed": previous["informed"] | delivered}
 
 
 def linear_model(a: Tensor, b: Tensor) -> Callable[[Tensor, Tensor], Tensor]:
@@ -87,26 +92,34 @@ def linear_model(a: Tensor, b: Tensor) -> Callable[[Tensor, Tensor], Tensor]:
 
 
 class HoldCommand(SlotTransform):
-    """The actuator repeats its last command while no update of its device arrives (the paper's baselines 4 and 5).
+    """The actuator repeats its last command, or rests, while no update of its device arrives.
 
     Replaces ``action`` on its way to the plant where ``delivered`` is False; the policy's own action stays in the
-    tensordict. Writes ``held_command``, the command that was applied in the slot before, 0 N at the start.
+    tensordict. Writes ``held_command`` [*B, m], the command that was applied in the slot before, at rest at the start.
 
     Put it last: what stands before it then sees the command that was applied.
+
+    Args:
+        between: "hold" repeats the last command (the paper's baselines 4 and 5), "zero" rests.
+        rest: the command [m] at rest.
     """
 
     carried = ("held_command",)
     previous_keys = ("action",)
 
-    def __init__(self):
+    def __init__(self, between: str = "hold", rest: float | Tensor = 0.0):
+        if between not in ("hold", "zero"):
+            raise ValueError(f"unknown between {between!r}: choose 'hold' or 'zero'")
         super().__init__(in_keys=[], out_keys=["held_command"])
+        self.between = between
+        self.register_buffer("rest", torch.as_tensor(rest, dtype=torch.float32))
 
     def _specs(self, incoming: Composite) -> dict[str, TensorSpec]:
         require_key(incoming, "delivered", "HoldCommand", "an Uplink")
         return {"held_command": number_spec(incoming, *self.parent.action_spec.shape[incoming.ndim :])}
 
     def _begin(self, before: Values, current: TensorDictBase) -> Values:
-        return {"held_command": torch.zeros(self.parent.action_spec.shape, device=current.device)}
+        return {"held_command": self.rest.to(current.device).expand(self.parent.action_spec.shape).clone()}
 
     def _slot(self, previous: Values, current: TensorDictBase, fresh: Tensor | None) -> Values:
         require_key(current, "delivered", "HoldCommand", "an Uplink")
@@ -115,5 +128,5 @@ class HoldCommand(SlotTransform):
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
         command = tensordict["action"]
-        held = tensordict["held_command"].to(command)
+        held = tensordict["held_command"].to(command) if self.between == "hold" else self.rest.expand_as(command)
         return tensordict.set("action", select(tensordict["delivered"], command, held))

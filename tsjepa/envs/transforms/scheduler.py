@@ -6,8 +6,9 @@ from torch import Tensor
 from torchrl.data import Composite, TensorSpec
 
 from tsjepa.envs.transforms.base import SlotTransform, Values, flag_spec, number_spec, require_key
+from tsjepa.radio.knowledge import Known
 from tsjepa.radio.link import db_to_linear, resource_units, units_per_slot
-from tsjepa.radio.schedulers import ChannelKnowledge, SchedulerFunction, get_scheduler
+from tsjepa.radio.schedulers import SchedulerFunction, get_scheduler
 from tsjepa.radio.simulation import check_csi
 
 
@@ -18,8 +19,9 @@ class Scheduler(SlotTransform):
     many resource units as their channel needs out of the ``units`` in a slot; then ``resource_units`` says how many
     were granted. Devices that reset in the middle of a slot share what the others have left of it.
 
-    Reads ``snr``, ``mean_snr`` (and ``loss_probability``) where a :class:`Channel` wrote them, and the age of the slot
-    before where an :class:`Uplink` did; without them links are perfect and ages are 1.
+    Reads ``snr``, ``mean_snr`` (and ``loss_probability``) where a :class:`Channel` wrote them, the age of the slot
+    before where an :class:`Uplink` did, and ``slot`` where the plant counts the slots of its episodes; without them
+    links are perfect, ages are 1, and a scheduler that needs the slot says so.
 
     Args:
         scheduler: a name in ``SCHEDULERS``, or a function of that interface.
@@ -83,42 +85,51 @@ class Scheduler(SlotTransform):
         return start
 
     def _slot(self, previous: Values, current: TensorDictBase, fresh: Tensor | None) -> Values:
-        age = previous["age_of_information"]
-        if age is None:
-            age = torch.ones(current.batch_size, dtype=torch.int64, device=current.device)
-        channel = self._knowledge(previous, current)
-        demand = None if self.payload_bits is None else self._demand(channel, current)
-        budget = self.budget
+        known = self._knowledge(previous, current)
+        if self.payload_bits is not None:
+            known = known._replace(demand=self._demand(known, current))
         if fresh is not None and not bool(fresh.all()):
-            channel = channel._replace(candidate=fresh)
-            taken = previous["scheduled"] if demand is None else previous["resource_units"]
-            budget = budget - taken.masked_fill(fresh, 0).sum(-1)
-        schedule, memory = self.decide(age, channel, demand, budget, previous["scheduler_memory"])
+            taken = previous["scheduled"] if known.demand is None else previous["resource_units"]
+            left = known.budget - taken.masked_fill(fresh, 0).sum(-1)
+            known = known._replace(candidate=fresh, budget=left)
+        schedule, memory = self.decide(known)
         values = {"scheduled": schedule, "scheduler_memory": memory}
-        if demand is not None:
-            values["resource_units"] = demand.masked_fill(~schedule, 0)
+        if known.demand is not None:
+            values["resource_units"] = known.demand.masked_fill(~schedule, 0)
         if self.csi == "delayed":
             history = previous["snr_history"]
             values["snr_history"] = torch.cat((history[..., 1:], current["snr"].unsqueeze(-1)), -1)
         return values
 
-    def _knowledge(self, previous: Values, current: TensorDictBase) -> ChannelKnowledge:
-        everyone = torch.ones(current.batch_size, dtype=torch.bool, device=current.device)
+    def _knowledge(self, previous: Values, current: TensorDictBase) -> Known:
+        shape, device = current.batch_size, current.device
+        everyone = torch.ones(shape, dtype=torch.bool, device=device)
+        perfect = torch.ones(shape, dtype=torch.float64, device=device)
+        age = previous["age_of_information"]
+        known = Known(
+            age=torch.ones(shape, dtype=torch.int64, device=device) if age is None else age,
+            snr=perfect,
+            success=perfect,
+            above_threshold=everyone,
+            candidate=everyone,
+            budget=self.budget,
+            memory=previous["scheduler_memory"],
+            slot=current.get("slot", None),
+        )
         snr = {"perfect": current.get("snr", None), "statistical": current.get("mean_snr", None)}.get(self.csi)
         if self.csi == "delayed":
             snr = previous["snr_history"][..., 0]
         if snr is None:
-            perfect = torch.ones(current.batch_size, dtype=torch.float64, device=current.device)
-            return ChannelKnowledge(perfect, perfect, everyone, everyone)
+            return known
         snr = snr.to(torch.float64)
         above = snr >= self.snr_threshold
         success = torch.exp(-self.snr_threshold / snr) if self.csi == "statistical" else above.to(torch.float64)
         loss_probability = current.get("loss_probability", None)
         if self.csi == "perfect" and loss_probability is not None:
             success = success * (1.0 - loss_probability)
-        return ChannelKnowledge(snr, success, above, everyone)
+        return known._replace(snr=snr, success=success, above_threshold=above)
 
-    def _demand(self, channel: ChannelKnowledge, current: TensorDictBase) -> Tensor:
+    def _demand(self, known: Known, current: TensorDictBase) -> Tensor:
         require_key(current, "snr", "Scheduler with payload_bits", "a Channel")
-        known = channel.snr if self.csi == "perfect" else torch.zeros_like(channel.snr)
-        return resource_units(self.payload_bits, known.clamp(min=self.snr_threshold))
+        snr = known.snr if self.csi == "perfect" else torch.zeros_like(known.snr)
+        return resource_units(self.payload_bits, snr.clamp(min=self.snr_threshold))

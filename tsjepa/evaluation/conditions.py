@@ -1,0 +1,88 @@
+"""What a model is judged on: its plant, its starts, and who draws the pictures."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from tsjepa.envs import Radio
+from tsjepa.evaluation.rollouts import Loop
+from tsjepa.models import Controller
+from tsjepa.plants import Plant, build_plant
+from tsjepa.support.checks import at_least
+
+SEEDS, STARTS_PER_SEED, SLOTS = 5, 20, 100
+
+
+def plant_of(
+    model: Controller,
+    description: Mapping[str, Any] | None = None,
+    process_noise_std: float | Sequence[float] | None = None,
+) -> Plant | None:
+    """The plant that ``description`` names, else that of the model's figures, else the one that it was trained on.
+
+    Args:
+        model: a model.
+        description: class_path and init_args of a plant.
+        process_noise_std: instead of the described noise.
+
+    Returns:
+        None where nobody names a plant: the model was trained on a recording.
+
+    Raises:
+        ValueError: the description names no plant, or a noise that it does not have.
+    """
+    described = description or (model.metrics or {}).get("plant") or model.plant
+    if described is None:
+        return None
+    return build_plant(described, **({} if process_noise_std is None else {"process_noise_std": process_noise_std}))
+
+
+def held_out_loop(
+    model: Controller,
+    plant: Plant,
+    starts_per_seed: int | None = None,
+    slots: int | None = None,
+    frame_history: int | None = None,
+    blend: float = 1.0,
+    codec: str = "fp32",
+) -> Loop:
+    """The loop of ``model`` on a lossless link; what is None is as in its figures, else as the constants above say.
+
+    Raises:
+        ValueError: a number below 1.
+    """
+    figures = model.metrics or {}
+    starts_per_seed = figures.get("starts_per_seed", STARTS_PER_SEED) if starts_per_seed is None else starts_per_seed
+    slots = figures.get("slots", SLOTS) if slots is None else slots
+    frame_history = figures.get("frame_history", 1) if frame_history is None else frame_history
+    at_least(1, starts_per_seed=starts_per_seed, slots=slots, frame_history=frame_history)
+    return Loop(
+        plant,
+        model,
+        num_devices=starts_per_seed,
+        slots=slots,
+        radio=Radio(codec=codec, lossless=True),
+        frame_history=max(frame_history, model.frame_history),
+        blend=blend,
+    )
+
+
+def warn_of_another_renderer(camera: Mapping[str, Any], *records: Mapping[str, Any] | None) -> None:
+    """Prints one line where a model or a data set met the pictures of another GL renderer than the one in use.
+
+    Args:
+        camera: as :meth:`tsjepa.plants.Plant.camera` describes it.
+        records: figures of a model or metadata of a data set, which may have a ``camera`` too.
+    """
+    known = [record for record in records if record]
+    known += [data_set for record in known for data_set in record.get("data_sets", [])]
+    here = camera.get("gl_renderer")
+    others = {(record.get("camera") or {}).get("gl_renderer") for record in known} - {here, None}
+    if here and others:
+        print(
+            f"Pictures are drawn by {here} here and were by {', '.join(sorted(others))} there: they differ a little, "
+            "and scores may.",
+            file=sys.stderr,
+        )

@@ -1,0 +1,39 @@
+"""What a scheduler may know in a slot, as one value."""
+
+from typing import NamedTuple
+
+from torch import Tensor
+
+
+class Known(NamedTuple):
+    """What the base station knows when it decides about a slot; I devices on the last dimension, any batch before it.
+
+    A field that nobody can know is None. Fields are read, never written into: they may be views.
+
+    Attributes:
+        age: [..., I] slots since the last delivery, counted before this slot (1 = delivered in the slot before).
+        snr: [..., I] linear SNR as known (this slot's, an older slot's, or the mean).
+        success: [..., I] probability that a transmission arrives, given what is known.
+        above_threshold: [..., I] bool, whether the known SNR reaches the threshold (the gate gamma >= gamma_th).
+        candidate: [..., I] bool, devices that may be scheduled at all.
+        budget: resource units in the slot, int or [...] int64.
+        memory: [..., I] float64, what the scheduler returned in the slot before, zeros at first; it outlives episodes.
+        demand: [..., I] int64 resource units that each device needs, or None: one each.
+        urgency: [..., I] what each device says of its own need, >= 0, or None where devices say nothing.
+        weight: [..., I] priority, > 0, by which a device's gain is multiplied, or None: all alike.
+        slot: int64 slots since the device's episode began, broadcast against [..., I], or None where no plant counts.
+        signalling_bits: bits that were spent in this slot to know it, int or [..., I] int64.
+    """
+
+    age: Tensor
+    snr: Tensor
+    success: Tensor
+    above_threshold: Tensor
+    candidate: Tensor
+    budget: int | Tensor
+    memory: Tensor
+    demand: Tensor | None = None
+    urgency: Tensor | None = None
+    weight: Tensor | None = None
+    slot: Tensor | None = None
+    signalling_bits: int | Tensor = 0
