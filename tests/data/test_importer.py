@@ -150,7 +150,7 @@ def test_a_wrong_claimed_rate_is_said_and_the_measured_one_taken(tmp_path):
     info = json.loads((path / "meta/info.json").read_text())
     (path / "meta/info.json").write_text(json.dumps({**info, "fps": 50}))
     metadata, report, _ = run(path, tmp_path / "set")
-    assert metadata["sampling_interval"] == pytest.approx(0.05)
+    assert metadata["spec"]["slot"] == pytest.approx(0.05)
     assert "The metadata claim 50 pictures a second; 20 are measured." in report["notes"]
 
 

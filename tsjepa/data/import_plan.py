@@ -8,8 +8,8 @@ import numpy as np
 
 from tsjepa.data.clock import Piece, command_lag, cut, match_clocks
 from tsjepa.data.readers import Episode, Recording, Skipped
-from tsjepa.data.readers.episode import UNKNOWN
 from tsjepa.support.foreign import reason
+from tsjepa.support.spec import UNKNOWN
 
 SAME_RATE = 0.05  # relative difference of two episodes' intervals that is still one rate
 CLAIMED_RATE = 0.01  # a measured interval this near to the claimed one is taken for it

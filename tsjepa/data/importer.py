@@ -17,6 +17,7 @@ from tsjepa.data.report import import_report, import_table
 from tsjepa.data.writing import Trajectory, write_data_set
 from tsjepa.support.checks import at_least, within
 from tsjepa.support.foreign import reason
+from tsjepa.support.spec import PlantSpec
 
 BLOCK_BYTES = 32 << 20  # of decoded pictures in memory at a time
 
@@ -93,10 +94,9 @@ def import_recording(
             "made_by": "tsjepa import",
             "source": {"format": recording.format, "name": Path(path).resolve().name},
             "splits": {name: {"episodes": len(trajectories), "slots": slots} for name, trajectories in splits.items()},
-            "sampling_interval": plan.slot,
             "slots": slots,
             "seed": seed,
-            "spec": _spec(plan, parts, size or taken[0][2]),
+            "spec": _spec(plan, parts, size or taken[0][2]).to_dict(),
         }
         write_data_set(folder, splits, metadata, {"import.json": json.dumps(report, indent=2) + "\n"})
     finally:
@@ -256,21 +256,22 @@ def _trajectory(part: Part, pixels: np.ndarray, first: int, slots: int) -> Traje
     return trajectory
 
 
-def _spec(plan: Plan, parts: list[Part], size: tuple[int, int]) -> dict:
+def _spec(plan: Plan, parts: list[Part], size: tuple[int, int]) -> PlantSpec:
+    """The recording's own names, units and measured ranges."""
     used = np.concatenate([part.action[: len(part.piece.frame) - 1] for part in parts])
     low, high = used.min(axis=0), used.max(axis=0)
     # a command that never changed has a range all the same, or nothing could be divided by it
     low, high = np.where(low < high, low, low - 0.5), np.where(low < high, high, high + 0.5)
     states = [part.state[: len(part.piece.frame)] for part in parts if part.state is not None]
     largest = np.max([np.abs(state).max(axis=0) for state in states], axis=0) if states else np.zeros(0)
-    return {
-        "state_names": plan.state_names,
-        "state_units": plan.state_units,
-        "state_scale": np.where(largest > 0, largest, 1.0).tolist(),
-        "action_names": plan.action_names,
-        "action_units": plan.action_units,
-        "action_low": low.tolist(),
-        "action_high": high.tolist(),
-        "frame": list(size),
-        "slot": plan.slot,
-    }
+    return PlantSpec(
+        action_low=tuple(low.tolist()),
+        action_high=tuple(high.tolist()),
+        slot=plan.slot,
+        frame=size,
+        state_names=tuple(plan.state_names),
+        state_units=tuple(plan.state_units),
+        state_scale=tuple(np.where(largest > 0, largest, 1.0).tolist()),
+        action_names=tuple(plan.action_names),
+        action_units=tuple(plan.action_units),
+    )

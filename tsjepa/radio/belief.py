@@ -62,9 +62,7 @@ class PerfectCsi:
         memory[..., 0] = self.loss.bad_share if isinstance(self.loss, GilbertElliott) else 0.0
         return memory
 
-    def step(
-        self, memory: Tensor, mean_snr: Tensor, snr: Tensor, sent: Tensor, arrived: Tensor
-    ) -> tuple[Tensor, Link]:
+    def step(self, memory: Tensor, mean_snr: Tensor, snr: Tensor, sent: Tensor, arrived: Tensor) -> tuple[Tensor, Link]:
         bad = self._bad(memory[..., 0], sent, arrived, memory[..., 1])
         decodable = (snr >= self.snr_threshold).to(torch.float64)
         return torch.stack((bad, decodable), -1), self._link(snr, decodable, bad)
@@ -102,9 +100,7 @@ class StatisticalCsi(PerfectCsi):
     def width(self) -> int:
         return 4
 
-    def step(
-        self, memory: Tensor, mean_snr: Tensor, snr: Tensor, sent: Tensor, arrived: Tensor
-    ) -> tuple[Tensor, Link]:
+    def step(self, memory: Tensor, mean_snr: Tensor, snr: Tensor, sent: Tensor, arrived: Tensor) -> tuple[Tensor, Link]:
         bad, decodable, above, since = memory.unbind(-1)
         above, since = self._last_outcome(decodable, self._lost(bad), above, since, sent, arrived)
         bad = self._bad(bad, sent, arrived, decodable)
@@ -144,9 +140,7 @@ class DelayedCsi(StatisticalCsi):
         memory[..., 4:] = torch.nan
         return memory
 
-    def step(
-        self, memory: Tensor, mean_snr: Tensor, snr: Tensor, sent: Tensor, arrived: Tensor
-    ) -> tuple[Tensor, Link]:
+    def step(self, memory: Tensor, mean_snr: Tensor, snr: Tensor, sent: Tensor, arrived: Tensor) -> tuple[Tensor, Link]:
         bad, decodable, above, since = memory[..., :4].unbind(-1)
         old, rho = memory[..., 4], self.correlation(self.delay)
         if self.delay == 1:
@@ -184,9 +178,7 @@ class AckLearned:
     def start(self, shape: tuple[int, ...], device: torch.device | str = "cpu") -> Tensor:
         return _pack(feedback.start_counts(shape, device))
 
-    def step(
-        self, memory: Tensor, mean_snr: Tensor, snr: Tensor, sent: Tensor, arrived: Tensor
-    ) -> tuple[Tensor, Link]:
+    def step(self, memory: Tensor, mean_snr: Tensor, snr: Tensor, sent: Tensor, arrived: Tensor) -> tuple[Tensor, Link]:
         counts = feedback.update_counts(_unpack(memory), sent, arrived, self.discount)
         success = feedback.learned_success(counts, self.strength)
         expected = self.snr_threshold / -torch.log(success.clamp(1e-12, 1.0 - 1e-12))

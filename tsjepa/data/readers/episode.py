@@ -12,7 +12,6 @@ import numpy as np
 
 from tsjepa.support.foreign import reason
 
-UNKNOWN = "unknown"
 MOST_PIXELS = 8192 * 8192  # of one picture: a header that claims more is damaged, and its picture would fill the memory
 
 
