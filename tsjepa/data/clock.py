@@ -26,6 +26,7 @@ class Clocks:
         paired: row i belongs to picture i.
         interval: median seconds from one picture to the next.
         offset: seconds that the clock of the rows was ahead of that of the pictures.
+        breaks: steps [R - 1] at which only the clock of the rows says that something is missing, or None.
         notes: what was found, one sentence each.
     """
 
@@ -34,6 +35,7 @@ class Clocks:
     paired: bool
     interval: float
     offset: float = 0.0
+    breaks: np.ndarray | None = None
     notes: list[str] = field(default_factory=list)
 
 
@@ -127,11 +129,13 @@ def match_clocks(
     if interval is None:
         raise ValueError("its times do not move forward.")
     if offset is not None:
-        return Clocks(row_times - offset, frame_times, False, interval, offset, notes)
+        return Clocks(row_times - offset, frame_times, False, interval, offset, notes=notes)
     if alike:
         ahead = row_times[:pairs] - frame_times[:pairs]
         found = float(np.median(ahead))
-        drift = float(np.polyfit(np.arange(pairs), ahead, 1)[0] * pairs) if pairs > 2 else 0.0
+        steps = np.diff(row_times[:pairs])
+        breaks = (steps < 0) | (steps > GAP * interval)
+        drift = float(np.polyfit(np.arange(pairs), ahead, 1)[0] * pairs) if pairs > 2 and not breaks.any() else 0.0
         if abs(drift) > interval / 2:
             notes.append(
                 f"the clocks of rows and pictures drift apart by {1000 * drift:.0f} ms over the episode; row i is "
@@ -139,14 +143,14 @@ def match_clocks(
             )
         if abs(found) > interval / 20:
             notes.append(offset_sentence(found, interval))
-        return Clocks(frame_times[:pairs], frame_times, True, interval, found, notes)
+        return Clocks(frame_times[:pairs], frame_times, True, interval, found, breaks, notes)
     common = min(row_times.max(), frame_times.max()) - max(row_times.min(), frame_times.min())
     shorter = min(np.ptp(row_times), np.ptp(frame_times))
     found = 0.0 if common > shorter / 2 else float(row_times.min() - frame_times.min())
     if found:
         notes.append(f"the clocks of rows and pictures have nothing in common; their starts are laid together "
                      f"({found:+.3f} s).")  # fmt: skip
-    return Clocks(row_times - found, frame_times, False, interval, found, notes)
+    return Clocks(row_times - found, frame_times, False, interval, found, notes=notes)
 
 
 def offset_sentence(offset: float, interval: float) -> str:
@@ -177,13 +181,14 @@ def cut(clocks: Clocks, usable: np.ndarray, slot: float | None, row_needed: bool
     slot = clocks.interval if own else slot
     if clocks.paired:
         times = clocks.frames[: len(usable)]
-        runs = _runs(times, usable, GAP * clocks.interval, notes)
+        runs = _runs(times, usable, GAP * clocks.interval, notes, clocks.breaks)
         pieces = []
         for first, last in runs:
             extra = last < len(clocks.frames) and (last < len(usable) or not row_needed)
             extra = extra and 0 <= clocks.frames[last] - clocks.frames[last - 1] <= GAP * clocks.interval
-            if last < len(usable) and row_needed and not usable[last]:
-                extra = False
+            if last < len(usable):
+                extra = extra and not (row_needed and not usable[last])
+                extra = extra and not (clocks.breaks is not None and clocks.breaks[last - 1])
             frame = np.arange(first, last + extra)
             row = frame.clip(max=len(usable) - 1)
             pieces.append(_fit(clocks.frames[frame], clocks.frames[row], frame, row, slot, slot / 2 if own else None))
@@ -194,13 +199,21 @@ def cut(clocks: Clocks, usable: np.ndarray, slot: float | None, row_needed: bool
     return [piece for piece in pieces if len(piece.frame)], notes
 
 
-def _runs(times: np.ndarray, usable: np.ndarray, gap: float, notes: list[str]) -> list[tuple[int, int]]:
+def _runs(
+    times: np.ndarray, usable: np.ndarray, gap: float, notes: list[str], further: np.ndarray | None = None
+) -> list[tuple[int, int]]:
     """Stretches [first, last) without a gap, a step back or a row that cannot be used."""
     steps = np.diff(times)
     gaps = steps[steps > gap]
     if len(gaps):
         notes.append(f"{len(gaps)} gaps of up to {gaps.max():.1f} s split it.")
     breaks = (steps > gap) | (steps < 0)
+    if further is not None:
+        more = further[: len(breaks)] & ~breaks
+        if more.any():
+            notes.append(f"the clock of the rows jumps {int(more.sum())} times where that of the pictures does not; it "
+                         "is split there.")  # fmt: skip
+        breaks |= further[: len(breaks)]
     bounds = [0, *(np.flatnonzero(breaks) + 1).tolist(), len(times)]
     runs = []
     for first, last in pairwise(bounds):

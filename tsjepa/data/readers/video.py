@@ -43,9 +43,7 @@ def video_index(path: Path) -> VideoIndex:
                 raise ValueError(f"{path.name} holds no video.")
             stream = container.streams.video[0]
             check_picture_size(stream.width, stream.height, path.name)
-            packets = [packet for packet in container.demux(stream) if packet.size and not packet.is_discard]
-            ticks = [packet.pts for packet in packets]
-            del packets
+            ticks = [packet.pts for packet in container.demux(stream) if packet.size and not packet.is_discard]
             base, rate = stream.time_base, stream.average_rate
             container.seek(0)
             first = next(container.decode(stream), None)
