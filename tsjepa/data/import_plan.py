@@ -8,6 +8,7 @@ import numpy as np
 
 from tsjepa.data.clock import Piece, command_lag, cut, match_clocks
 from tsjepa.data.readers import Episode, Recording, Skipped
+from tsjepa.data.readers.episode import all_of
 from tsjepa.support.foreign import reason
 from tsjepa.support.spec import UNKNOWN
 
@@ -67,7 +68,7 @@ def plan_import(recording: Recording, slot: float | None = None, offset: float |
         ValueError: nothing of it can be used; the sentence says why.
     """
     skipped, notes, ready = [], [], []
-    for item in recording.episodes():
+    for item in all_of(recording):
         if isinstance(item, Skipped):
             skipped.append(item)
             continue
@@ -110,6 +111,8 @@ def plan_import(recording: Recording, slot: float | None = None, offset: float |
             parts.append(Part(name, episode, piece, episode.action[piece.row], state))
         lags.append(_lag(episode, slot))
         notes += [f"{episode.name}: {note}" for note in [*episode.notes, *clocks.notes, *cut_notes]]
+    if not parts:
+        raise ValueError(_nothing(skipped))
     first = ready[0][0]
     known = [lag for lag in lags if lag is not None]
     plan = Plan(

@@ -13,6 +13,7 @@ import numpy as np
 from tsjepa.data.clock import command_lag
 from tsjepa.data.import_plan import Part, Plan, plan_import
 from tsjepa.data.readers import Frames, Skipped, Streams, open_recording
+from tsjepa.data.readers.episode import read_pictures
 from tsjepa.data.report import import_report, import_table
 from tsjepa.data.writing import Trajectory, write_data_set
 from tsjepa.support.checks import at_least, within
@@ -193,10 +194,10 @@ def _blocks(frames: Frames, indices: np.ndarray) -> Iterator[tuple[np.ndarray, n
     for first in range(0, len(indices), step):
         part = slice(first, first + step)
         try:
-            pictures = frames.read(indices[part])
+            pictures = read_pictures(frames, indices[part])
         except ValueError:  # up to the one that fails, they are good
             for place in range(first, min(first + step, len(indices))):
-                yield frames.read(indices[place : place + 1]), repeated[place : place + 1]
+                yield read_pictures(frames, indices[place : place + 1]), repeated[place : place + 1]
             continue
         yield pictures, repeated[part]
 

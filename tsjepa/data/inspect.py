@@ -13,6 +13,7 @@ import numpy as np
 
 from tsjepa.data.import_plan import Plan, plan_import
 from tsjepa.data.readers import Episode, Recording, Skipped, Streams, UnknownFormat, open_recording
+from tsjepa.data.readers.episode import all_of, read_pictures
 from tsjepa.data.report import coding_notes, lag_note
 
 LOOK_S = 2.5  # for opening episodes; a recording of thousands is judged by its first ones
@@ -113,7 +114,7 @@ class Looked:
     def episodes(self) -> Iterator[Episode | Skipped]:
         """Episodes as the recording gives them, until the time is up."""
         end = time.monotonic() + LOOK_S
-        for item in self.recording.episodes():
+        for item in all_of(self.recording):
             yield item
             if isinstance(item, Episode):
                 self.seen.append(item)
@@ -183,7 +184,7 @@ def _streams(recording: Recording, plan: Plan) -> list[dict]:
 def _still(episode: Episode) -> list[str]:
     """Whether the first pictures change."""
     try:
-        pictures = episode.frames.read(np.arange(min(LOOKED_AT, episode.frames.count)))
+        pictures = read_pictures(episode.frames, np.arange(min(LOOKED_AT, episode.frames.count)))
     except ValueError as error:
         return [str(error)]
     finally:

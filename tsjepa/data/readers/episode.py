@@ -142,6 +142,36 @@ def attempt(name: str, read: Callable[[], Episode]) -> Episode | Skipped:
         return Skipped(name, reason(error))
 
 
+def all_of(recording: Recording) -> Iterator[Episode | Skipped]:
+    """The recording's episodes; a reader that fails on the way ends them with an entry that says so."""
+    episodes = iter(recording.episodes())
+    while True:
+        try:
+            item = next(episodes)
+        except StopIteration:
+            return
+        except (MemoryError, ModuleNotFoundError):
+            raise
+        except Exception as error:
+            yield Skipped("the rest", reason(error))
+            return
+        yield item
+
+
+def read_pictures(frames: Frames, indices: Sequence[int] | np.ndarray) -> np.ndarray:
+    """``frames.read(indices)``, with whatever a library raises on a damaged file as one kind of error.
+
+    Raises:
+        ValueError: one of them cannot be decoded.
+    """
+    try:
+        return frames.read(indices)
+    except (MemoryError, ModuleNotFoundError, ValueError):
+        raise
+    except Exception as error:
+        raise ValueError(reason(error)) from error
+
+
 def ranges(numbers: Sequence[int], most: int = 6) -> str:
     """Numbers as "0-28, 31, 33-99"; the first ``most`` runs of them."""
     runs: list[list[int]] = []
