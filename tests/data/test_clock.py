@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tsjepa.data.clock import command_lag, cut, match_clocks, newest, stamp_faults
+from tsjepa.data.clock import cut, match_clocks, newest, stamp_faults
+from tsjepa.data.lag import command_lag
 
 TWENTY_HZ = np.arange(40) / 20
 

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 import recordings as make
 
+from tsjepa.data.cutting import starts
 from tsjepa.data.import_plan import merge_notes
-from tsjepa.data.importer import import_recording, resize, starts
+from tsjepa.data.importer import import_recording, resize
 from tsjepa.data.inspect import inspect_recording
 from tsjepa.data.storage import open_split, read_metadata
 

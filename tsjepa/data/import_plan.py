@@ -6,7 +6,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from tsjepa.data.clock import Piece, command_lag, cut, match_clocks
+from tsjepa.data.clock import Piece, cut, match_clocks
+from tsjepa.data.lag import command_lag
 from tsjepa.data.readers import Episode, Recording, Skipped
 from tsjepa.data.readers.episode import all_of
 from tsjepa.support.foreign import reason

@@ -25,8 +25,8 @@ def inspect_recording(
     path: str,
     json: bool = False,
     camera: str | None = None,
-    action: list[str] | None = None,
-    state: list[str] | None = None,
+    action: list[str] | str | None = None,
+    state: list[str] | str | None = None,
     time: str | None = None,
     rate_hz: float | None = None,
     reader: str | None = None,
@@ -61,7 +61,7 @@ def inspect_recording(
     words += ["--slots", str(min(100, longest - 1))] if longest <= 100 else []
     words += ["--camera", camera or recording.camera] if camera or len(recording.cameras) > 1 else []
     for option, value in (("action", action), ("state", state)):
-        words += [f"--{option}", json_module.dumps(value)] if value else []
+        words += [f"--{option}", value if isinstance(value, str) else ",".join(value)] if value else []
     for option, value in (("time", time), ("rate_hz", rate_hz), ("reader", reader)):
         words += [f"--{option}", str(value)] if value else []
     result = {

@@ -10,7 +10,9 @@ from typing import Literal
 
 import numpy as np
 
-from tsjepa.radio.trace_formats import COLUMNS, Log, read_log
+from tsjepa.radio.trace_formats import read_log
+from tsjepa.radio.trace_log import Log
+from tsjepa.radio.trace_tables import COLUMNS
 from tsjepa.support.foreign import optional, reason
 
 LISTED = 8
@@ -185,7 +187,7 @@ def draw(path: Path, logs: dict[str, Log]) -> None:
     for name, log in list(logs.items())[:LISTED]:
         if "delay_ms" in log.columns:
             delay = log.columns["delay_ms"]
-            delay_axis.hist(delay[np.isfinite(delay)], bins=60, histtype="step", label=Path(name).stem[-24:])
+            delay_axis.hist(delay[np.isfinite(delay)], bins=60, histtype="step", label=Path(name).stem[-24:].lstrip("_"))
         for column, style in (("rsrp_dbm", "solid"), ("sinr_db", "dashed")):
             if column in log.columns:
                 values = log.columns[column]

@@ -90,9 +90,7 @@ class ArrayRecording:
         for lengths, starts in LENGTHS:
             if lengths in arrays:
                 length = _whole(arrays[lengths][:], lengths)
-                start = (
-                    np.asarray(arrays[starts][:], np.int64).ravel() if starts in arrays else length.cumsum() - length
-                )
+                start = _whole(arrays[starts][:], starts) if starts in arrays else length.cumsum() - length
                 spans = [(int(at), int(at + size)) for at, size in zip(start, length, strict=False) if size > 0]
                 if any(first < 0 or last > rows for first, last in spans) or len(start) != len(length):
                     raise ValueError(f"its {lengths} and {starts} reach beyond its {rows} rows.")

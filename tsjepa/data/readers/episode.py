@@ -94,17 +94,22 @@ class Streams:
 
     Args:
         camera: image stream, by name, key or topic.
-        action: columns, keys or topics of the command.
-        state: columns, keys or topics of the state.
+        action: columns, keys or topics of the command, as a list or with commas between them.
+        state: the same of the state.
         time: column or key of the rows' times.
         rate_hz: pictures a second, for formats without times.
     """
 
     camera: str | None = None
-    action: list[str] | None = None
-    state: list[str] | None = None
+    action: list[str] | str | None = None
+    state: list[str] | str | None = None
     time: str | None = None
     rate_hz: float | None = None
+
+    def __post_init__(self) -> None:
+        for kind in ("action", "state"):
+            if isinstance(value := getattr(self, kind), str):
+                setattr(self, kind, [name.strip() for name in value.split(",")])
 
 
 class Recording(Protocol):
