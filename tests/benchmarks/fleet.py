@@ -108,8 +108,9 @@ def measure(name: str, sizes: list[int], batch: int, rounds: int, steps: int, th
         steps: device-steps of a fleet and turn, at least one slot.
         threads: of torch; recorded.
     """
-    from tsjepa.envs import Renderer
     from tsjepa.plants.expert import reference_lqr
+
+    from tsjepa.envs import Renderer
 
     model, renderer = tsjepa.load(name), Renderer()
     law = reference_lqr(model.spec.slot)

@@ -3,11 +3,11 @@ import json
 import numpy as np
 import pytest
 import torch
+from tsjepa.plants.expert import Expert
 
 from tsjepa.data.collect import Coverage, Split, collect
 from tsjepa.data.storage import METADATA, content_hash, open_split, read_metadata
 from tsjepa.envs import Renderer
-from tsjepa.plants.expert import Expert
 
 SPLITS = {"train": Split(3), "test": Split(2, coverage=False)}
 

@@ -9,9 +9,9 @@ import pytest
 import torch
 from torchrl.envs import StepCounter, TransformedEnv, check_env_specs
 from torchrl.envs.utils import step_mdp
+from tsjepa.plants.dynamics import Dynamics
 
 from tsjepa.envs import FleetEnv, StartDistribution
-from tsjepa.plants.dynamics import Dynamics
 
 NOISE = (0.03, 0.05)
 STILL = StartDistribution(0.0, 0.0, 0.0, 0.0)

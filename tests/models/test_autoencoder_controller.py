@@ -1,10 +1,10 @@
 import pytest
 import torch
+from tsjepa.plants.expert import Expert
 
 import tsjepa
 from tsjepa.models import AutoencoderArchitecture, AutoencoderController, entries
 from tsjepa.models.autoencoder import ClippedLinearLaw
-from tsjepa.plants.expert import Expert
 
 SMALL = AutoencoderArchitecture(
     widths=(4, 8, 8), embedding_dim=8, decoder_channels=(8, 8, 4, 4), estimator_channels=(4, 8, 8)

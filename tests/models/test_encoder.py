@@ -1,9 +1,15 @@
+import os
+import subprocess
+import sys
+
+import numpy as np
 import pytest
 import torch
+from torch.nn import functional as F
 
 import tsjepa
 from tsjepa.models import Encoder
-from tsjepa.models.encoder import PIXEL_MEAN, PIXEL_STD, patchify, unpatchify
+from tsjepa.models.encoder import PIXEL_MEAN, PIXEL_STD, ResidualBlock, patchify, unpatchify
 
 
 def frames(count: int, stack: int = 2, seed: int = 0) -> torch.Tensor:
@@ -36,11 +42,12 @@ def test_normalisation_in_place_changes_neither_a_bit_nor_the_frames():
 
 
 def test_a_fleets_embeddings_in_bfloat16_agree_with_float32():
-    from tsjepa.envs import Renderer
+    from tsjepa.plants import CartPole
 
     model = tsjepa.load("tsjepa-cartpole")
-    poses = torch.rand(32, 2, generator=torch.Generator().manual_seed(0)).numpy() - 0.5
-    pictures = torch.from_numpy(Renderer().render(poses)).unflatten(0, (16, 2))
+    plant, rows = CartPole(0.02), np.arange(32)
+    scenes = plant.scene(plant.start(0, rows, 0 * rows), 0, rows, 0 * rows)
+    pictures = torch.from_numpy(plant.render(scenes)).unflatten(0, (16, 2))
     with torch.no_grad():
         exact = model.encode(pictures)
         with torch.autocast("cpu", torch.bfloat16):
@@ -69,3 +76,33 @@ def test_evaluation_mode_does_not_depend_on_the_rest_of_the_batch():
 def test_wrong_frames_are_refused_with_their_shape(bad):
     with pytest.raises(ValueError, match="uint8 frames of shape"):
         Encoder(widths=(4, 4, 4))(bad)
+
+
+AVX2 = {"ONEDNN_MAX_CPU_ISA": "AVX2", "ATEN_CPU_CAPABILITY": "avx2"}
+TRAIN_A_NARROW_ENCODER = """
+import torch
+from tsjepa.models import Encoder
+encoder = Encoder(2, ({width}, 8, 8), 16)
+for _ in range(10):
+    encoder.embed(torch.randn(16, 16, 32, 96)).square().sum().backward()
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("width", [2, 4, 6])
+def test_a_narrow_encoder_trains_on_an_avx2_cpu_without_corrupting_memory(width):
+    program = TRAIN_A_NARROW_ENCODER.format(width=width)
+    done = subprocess.run(
+        [sys.executable, "-c", program], env=os.environ | AVX2 | {"MALLOC_CHECK_": "3", "OMP_NUM_THREADS": "1"}
+    )
+    assert done.returncode == 0
+
+
+def test_the_shortcut_is_the_strided_convolution():
+    torch.manual_seed(0)
+    block = ResidualBlock(12, 8, 2).eval()
+    picture = torch.randn(3, 12, 16, 32, generator=torch.Generator().manual_seed(0))
+    weight = block.shortcut[0].weight
+    straight = F.relu(block.norm1(block.conv1(picture)))
+    expected = F.relu(block.norm2(block.conv2(straight)) + block.shortcut[1](F.conv2d(picture, weight, stride=2)))
+    torch.testing.assert_close(block(picture), expected)

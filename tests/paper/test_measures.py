@@ -1,12 +1,15 @@
 """What the figures measure, against answers that are known."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 
+from tsjepa.evaluation import rollouts
 from tsjepa.paper import devices, frame_change, tsne
 from tsjepa.paper.grids import grid
-from tsjepa.paper.loops import loop_rows, starts_of, thinned
+from tsjepa.paper.rows import command_rows, expert_embeddings, loop_of, loop_rows, thinned
 
 LOOP = {"model": None, "sends": "state", "codec": "fp32", "update_every": 1, "between": "hold"}
 SIZES = {"seeds": 2, "starts": 6, "slots": 100, "process_noise_std": 0.0}
@@ -73,8 +76,51 @@ def test_starts_without_a_score_are_refused():
         loop_rows(LOOP | SIZES | {"starts": 1, "slots": 2})
 
 
-def test_every_controller_meets_the_same_starts():
-    assert starts_of(LOOP | SIZES, 0) == starts_of(LOOP | SIZES | {"model": "tsjepa-cartpole"}, 0)
+@pytest.mark.parametrize("model", ["tsjepa-cartpole-d16", "supervised-cartpole-k4"])
+def test_every_controller_meets_the_same_starts(model):
+    theirs = {"model": model, "sends": "embedding", "between": "hold"}
+    first, second = (loop_of(LOOP | SIZES | fields).env(1).reset()["physics_state"] for fields in ({}, theirs))
+    assert torch.equal(first, second)
+
+
+def test_what_a_device_cannot_send_is_refused():
+    with pytest.raises(ValueError, match="'smoke'"):
+        loop_rows(LOOP | SIZES | {"sends": "smoke"})
+
+
+def test_nothing_counts_after_a_fall():
+    once = LOOP | SIZES | {"update_every": 0, "starts": 20, "seeds": 1}
+    loop = loop_of(once)
+    run = rollouts.run(loop, 0)
+    fallen = run.failed_now[1:].cummax(0).values
+    assert fallen.any()
+    row = loop_rows(once)[0]
+    inside = (run.state[1:, :, 0].abs() <= 0.05) & (run.state[1:, :, 1].abs() <= 0.05)
+    assert row["raw_score"] == pytest.approx(float((inside & ~fallen).float().mean()))
+    assert row["optimal_policy"] == "reference LQR"
+
+
+def test_the_command_error_is_the_experts_own_where_it_is_told_the_state():
+    (row,) = command_rows(LOOP | SIZES | {"seeds": 1})
+    assert row["nmae"] == 0
+
+
+def test_a_held_command_errs_by_its_distance_to_the_experts_over_the_range():
+    point = LOOP | SIZES | {"seeds": 1, "update_every": 2}
+    (row,) = command_rows(point)
+    perfect = rollouts.run(loop_of(LOOP | SIZES), 0).action
+    held = perfect.clone()
+    held[1::2] = perfect[::2]
+    assert row["nmae"] == pytest.approx(float((held - perfect).abs().mean()) / 40, rel=1e-5)
+
+
+def test_embeddings_of_the_loop_that_the_expert_closes_come_with_their_states():
+    point = {"model": "tsjepa-cartpole-d16", "starts": 2, "slots": 6, "process_noise_std": 0.0}
+    embedding, state = expert_embeddings(point, 0, 3)
+    perfect = rollouts.run(loop_of(LOOP | SIZES | {"starts": 2, "slots": 6}), 0)
+    assert embedding.shape == (4, 16)
+    assert torch.equal(state, perfect.state[[0, 3]].flatten(0, 1))
+    assert torch.allclose(embedding.norm(dim=-1), torch.ones(4), atol=1e-5)
 
 
 def test_a_curve_is_averaged_over_five_slots():
@@ -142,14 +188,46 @@ def test_a_fleet_of_a_point_is_searched_and_measured():
 
 def test_bursts_lose_the_share_that_is_asked_for():
     point = FLEET | {"loss": 0.2, "burst_slots": 5}
-    process = devices.radio_of(point, devices.Plants(), None, None).loss
+    process = devices.loop_of(point | {"scheduler": "max_age"}).radio.loss
     assert process.mean == pytest.approx(0.2)
     assert 1 / process.bad_to_good == 5
 
 
-def test_bandwidth_scales_the_resource_units():
-    units = [devices.Radio(bandwidth_mhz=mhz).units(0.02) for mhz in (20.0, 1.0, 0.5)]
-    assert units == [2120, 106, 53]
+@pytest.mark.parametrize(("bandwidth_mhz", "units"), [(20.0, 2120), (1.0, 106), (0.5, 53), (0.25, 26), (0.125, 13)])
+def test_devices_are_scaled_by_the_whole_units_that_a_slot_has(bandwidth_mhz, units):
+    point = FLEET | {"scheduler": "max_age", "resource_blocks": None, "bandwidth_mhz": bandwidth_mhz}
+    loop = devices.loop_of(point)
+    assert loop.radio.units(loop.plant.spec.slot) == units
+    assert devices.per_full_bandwidth(loop) == 2120 / units
+
+
+def test_where_blocks_are_counted_nothing_is_scaled():
+    assert devices.per_full_bandwidth(devices.loop_of(FLEET | {"scheduler": "max_age"})) == 1
+
+
+def test_a_seed_that_never_crosses_is_named_a_bound():
+    curve = {8: [0.9, 0.8, 0.7], 16: [0.8, 0.6, 0.6]}
+    found = devices.found(curve, "exact", 2.0)
+    assert [row["own_bound"] for row in found] == ["at least", "exact", "at most"]
+    assert [row["bound"] for row in found] == ["exact"] * 3
+    assert found[0]["devices"] > 32 and 16 < found[1]["devices"] < 32 and found[2]["devices"] < 16
+
+
+def test_pictures_reserve_a_tenth_more_than_the_largest_of_them():
+    point = FLEET | {"scheduler": "max_age", "model": "supervised-cartpole-k2", "resource_blocks": None}
+    small, large = (devices.loop_of(point | {"codec": "webp", "quality": q}).radio.payload_bits for q in (1, 80))
+    assert 1000 < small < large / 2
+    assert devices.loop_of(point | {"codec": "raw"}).radio.payload_bits is None
+
+
+def test_a_model_that_holds_its_command_does_not_predict():
+    point = FLEET | {"scheduler": "round_robin", "model": "tsjepa-cartpole-d16"}
+    predicts, holds = (devices.loop_of(point | fields) for fields in ({}, {"between": "hold"}))
+    actions = [rollouts.run(replace(loop, num_devices=6, slots=4), 0) for loop in (predicts, holds)]
+    unsent = ~actions[1].delivered[1:]
+    assert unsent.any()
+    assert torch.equal(actions[1].action[1:][unsent], actions[1].action[:-1][unsent])
+    assert not torch.equal(actions[0].action[1:][unsent], actions[0].action[:-1][unsent])
 
 
 def test_colour_distance_of_a_blind_and_of_a_colour_encoder():
@@ -169,9 +247,9 @@ def test_neighbour_error_of_the_state_itself_and_of_noise():
 
 def test_a_map_holds_the_trajectories_and_the_marked_pairs():
     pytest.importorskip("sklearn")
-    (point,) = tsne.points({"TS-JEPA": "tsjepa-cartpole"}, 2, trajectories=4, slots=12, every=1, pairs=12, marked=3)
+    (point,) = tsne.points({"TS-JEPA": "tsjepa-cartpole"}, 2, trajectories=8, slots=40, every=2, pairs=12, marked=3)
     rows = tsne.evaluate(point)
-    assert len(rows[0]["position"]) == 4 * 12
-    assert len(rows[0]["x"]) == len(rows[0]["y"]) == 4 * 12 + 2 * 3
+    assert len(rows[0]["position"]) == 8 * 20
+    assert len(rows[0]["x"]) == len(rows[0]["y"]) == 8 * 20 + 2 * 3
     assert "x" not in rows[1]
     assert all(row["colour_distance"] > 0 and 0 < row["neighbour_error"] < 1 for row in rows)

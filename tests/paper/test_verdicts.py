@@ -13,7 +13,7 @@ from tsjepa.paper import (
     one_device,
     schedulers,
 )
-from tsjepa.paper.claims import NOT, PARTLY, REPRODUCED
+from tsjepa.paper.claims import NOT, PARTLY, REPRODUCED, setbacks
 
 SEEDS = range(3)
 
@@ -32,7 +32,7 @@ def fleets(counts: dict, **fields) -> list[dict]:
     ]
     for entry in records:
         for row in entry["rows"]:
-            row["bound"] = "exact"
+            row["bound"] = row["own_bound"] = "exact"
     return records
 
 
@@ -77,11 +77,11 @@ def test_devices_as_the_paper_has_them_are_reproduced():
             "not clearly ahead of its own opportunistic",
         ),
         ({("TS-JEPA", "opportunistic"): 100}, "goal_devices", PARTLY, "not clearly ahead of its own opportunistic"),
-        ({("TS-JEPA", "opportunistic"): 60}, "opportunistic_last", NOT, "clearly the fewest at no SNR"),
+        ({("TS-JEPA", "opportunistic"): 60}, "opportunistic_last", NOT, "not clearly the fewest at 5 dB, 20 dB"),
         ({("supervised, WebP", "round_robin"): 25}, "goal_devices", PARTLY, "less than 5 times supervised, WebP"),
         ({("supervised, WebP", "round_robin"): 120}, "goal_devices", NOT, "less than 5 times supervised, WebP"),
-        ({("supervised, WebP", "round_robin"): 120}, "scales", PARTLY, "not at every SNR"),
-        ({("supervised, WebP", "channel_aware"): 120}, "devices_controllers", PARTLY, "not at every SNR"),
+        ({("supervised, WebP", "round_robin"): 120}, "scales", PARTLY, "supervised, WebP at 5 dB"),
+        ({("supervised, WebP", "channel_aware"): 120}, "devices_controllers", PARTLY, "supervised, WebP at 20 dB"),
     ],
 )
 def test_devices_that_fall_short_are_not_hidden(changed, name, verdict, said):
@@ -116,6 +116,48 @@ def test_a_ratio_is_a_geometric_mean_over_seeds():
     half = 4.302652729911275 * math.log(2) / 3**0.5  # Student's t, 2 degrees of freedom
     assert found.mean == pytest.approx(4)
     assert (found.low, found.high) == pytest.approx((4 * math.exp(-half), 4 * math.exp(half)))
+
+
+def test_seeds_that_were_extrapolated_are_counted():
+    seeds = [{"seed": s, "devices": 10.0, "bound": "exact", "own_bound": "exact" if s else "at least"} for s in SEEDS]
+    assert devices_encoding.counted(seeds) == "10 ± 0 (1 of 3 seeds extrapolated)"
+    assert devices_encoding.counted(seeds[1:]) == "10 ± 0"
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ({1: 1.0, 2: 2.0, 4: 3.0}, ("", "it does not fall from 1 to 2, 2 to 4")),
+        ({1: 3.0, 2: 3.0, 4: 1.0}, ("it does not rise from 1 to 2, 2 to 4", "it does not fall from 1 to 2")),
+        ({5: 1.0}, ("", "")),
+    ],
+)
+def test_steps_against_a_trend_are_named(values, said):
+    assert (setbacks(values), setbacks(values, rising=False)) == said
+
+
+def cases_of_one_device(error: float, fall: float) -> dict[str, str]:
+    records = [
+        record(
+            {"label": label, "between": "hold", "update_every": 1},
+            score=1.0 - fall,
+            failed=0.0,
+            nmae=error,
+            cost=50.0,
+            bits_per_slot=8192 if label == "TS-JEPA" else 393216,
+        )
+        for label, error, fall in (("optimal", 0.0, 0.0), ("TS-JEPA", error, fall), ("supervised 2", 0.006, 0.0))
+    ]
+    return one_device.verdicts(records)
+
+
+def test_reasons_name_what_the_figures_show():
+    near, far = cases_of_one_device(0.007, 0.1), cases_of_one_device(0.1, 0.3)
+    assert near["near_optimal"].reason == "it stays 10% below the expert on the true state"
+    assert far["near_optimal"].reason == "it stays 30% below the expert on the true state"
+    assert near["beats_baselines_prediction"].reason == "1.17 times the error of supervised 2"
+    assert far["lowest_nmae"].reason == "not clearly below supervised 2"
+    assert cases_of_one_device(0.004, 0.0)["lowest_nmae"].reason == ""
 
 
 @pytest.mark.parametrize(("late", "verdict"), [(60, PARTLY), (40, REPRODUCED)])

@@ -10,10 +10,11 @@ from tensordict import TensorDictBase
 from torch.utils.data import DataLoader
 
 from tsjepa.data.checks import check_split
-from tsjepa.data.storage import METADATA, open_split, read_metadata
+from tsjepa.data.storage import METADATA, open_split, read_metadata, spec_of
 from tsjepa.data.windows import WindowDataset, WindowSampler
 from tsjepa.support.checks import at_least
 from tsjepa.support.recipes import find_recipe, parse_arguments
+from tsjepa.support.seeds import run_seed
 
 
 def as_is(batch):
@@ -26,7 +27,8 @@ class Trajectories(lightning.LightningDataModule):
 
     Args:
         path: folder of the data set.
-        collect: recipe that collects the data set when ``path`` does not exist.
+        collect: recipe, or several of which later ones lie over the first, that collects the data set when ``path``
+            does not exist; None for one that is imported.
         frame_stack: kappa.
         frame_spacing: slots between the frames of a stack; 2 or 3 multiply what a velocity moves in the picture.
         stacks: stacks per window.
@@ -34,15 +36,14 @@ class Trajectories(lightning.LightningDataModule):
         steps: slots between the stacks of a window, drawn per batch.
         episodes: use only the first so many trajectories of every split; None for all.
         splits: of the data set that are trained on.
-        seed: seed of the windows' own stream.
         start_share: share of the windows that begin where a trajectory begins (see
             :func:`~tsjepa.training.finish.refine.refine_predictor` for why).
     """
 
     def __init__(
         self,
-        path: str = "data/cartpole-20ms",
-        collect: str = "recipes/data.yaml",
+        path: str,
+        collect: str | Sequence[str] | None = None,
         frame_stack: int = 2,
         frame_spacing: int = 1,
         stacks: int = 8,
@@ -50,7 +51,6 @@ class Trajectories(lightning.LightningDataModule):
         steps: Sequence[int] = (1, 1, 2, 4),
         episodes: int | None = None,
         splits: Sequence[str] = ("train",),
-        seed: int = 0,
         start_share: float = 0.0,
     ) -> None:
         super().__init__()
@@ -64,9 +64,10 @@ class Trajectories(lightning.LightningDataModule):
             at_least(1, episodes=episodes)
         if frames_per_batch % stacks:
             raise ValueError(f"frames_per_batch = {frames_per_batch} is not a multiple of stacks = {stacks}.")
-        self.path, self.recipe = Path(path), collect
+        self.path = Path(path)
+        self.recipes = [collect] if isinstance(collect, str) else list(collect or ())
         self.frame_stack, self.frame_spacing, self.stacks = frame_stack, frame_spacing, stacks
-        self.frames_per_batch, self.steps, self.episodes, self.seed = frames_per_batch, steps, episodes, seed
+        self.frames_per_batch, self.steps, self.episodes = frames_per_batch, steps, episodes
         self.splits, self.start_share = tuple(splits), start_share
 
     @property
@@ -77,48 +78,56 @@ class Trajectories(lightning.LightningDataModule):
     def prepare_data(self) -> None:
         if (self.path / METADATA).is_file():
             return
-        recipe = find_recipe(self.recipe)
-        if not Path(recipe).is_file():
-            raise FileNotFoundError(f"There is no data set in {self.path} and no recipe {recipe} to collect it with.")
+        if not self.recipes:
+            raise FileNotFoundError(f"There is no data set in {self.path}: make it with `tsjepa import` or `collect`.")
+        for recipe in self.recipes:
+            if not Path(find_recipe(recipe)).is_file():
+                raise FileNotFoundError(
+                    f"There is no data set in {self.path} and no recipe {recipe} to collect it with."
+                )
         from tsjepa.data.collect import collect  # needs a renderer, which training from a data set does not
 
-        collect(**parse_arguments(collect, ["--config", recipe, "--path", str(self.path)], "tsjepa collect"))
+        layers = [word for recipe in self.recipes for word in ("--config", recipe)]
+        collect(**parse_arguments(collect, [*layers, "--path", str(self.path)], "tsjepa collect"))
 
     def setup(self, stage: str | None = None) -> None:
         self.metadata = read_metadata(self.path)
+        self.spec = spec_of(self.metadata)
         if stage == "fit":
             for name in self.metadata["splits"]:
                 check_split(self.split(name), name)
 
     def split(self, name: str) -> TensorDictBase:
-        """One split, memory-mapped; [episodes, T + 1]."""
-        return open_split(self.path, name)
+        """The first ``episodes`` of one split, memory-mapped; [episodes, T + 1]. All that is fitted comes from here."""
+        return open_split(self.path, name)[: self.episodes]
 
     def train_dataloader(self) -> DataLoader:
-        splits = [self.split(name)[: self.episodes] for name in self.splits]
-        episodes, frames = sum(map(len, splits)), splits[0].shape[1]
+        splits = [self.split(name) for name in self.splits]
         rank, world_size = (self.trainer.global_rank, self.trainer.world_size) if self.trainer else (0, 1)
-        windows = self.frames_per_batch // self.stacks
         sampler = WindowSampler(
-            episodes,
-            frames,
-            self.first_slot,
-            self.stacks,
-            windows,
-            self.steps,
-            self.seed,
-            rank,
-            world_size,
-            self.start_share,
+            sum(map(len, splits)),
+            splits[0].shape[1],
+            first=self.first_slot,
+            stacks=self.stacks,
+            windows_per_batch=self.frames_per_batch // self.stacks,
+            steps=self.steps,
+            seed=run_seed(),
+            rank=rank,
+            world_size=world_size,
+            start_share=self.start_share,
         )
         dataset = WindowDataset(splits, self.stacks, self.frame_stack, self.frame_spacing)
         return DataLoader(dataset, sampler=sampler, batch_size=None, collate_fn=as_is)
 
     def val_dataloader(self) -> DataLoader:
-        """One batch: the whole validation split, as it lies on disk."""
+        """One batch: the validation split, as it lies on disk."""
         return DataLoader([self.split("validation")], batch_size=None, collate_fn=as_is)
 
     def test_dataloader(self) -> DataLoader:
         return DataLoader([self.split("test")], batch_size=None, collate_fn=as_is)
 
     predict_dataloader = test_dataloader
+
+    def transfer_batch_to_device(self, batch: TensorDictBase, device, dataloader_idx: int) -> TensorDictBase:
+        """A whole split stays memory-mapped; :func:`tsjepa.training.embeddings.embed_split` moves what it reads."""
+        return batch if "pixels" in batch.keys() else batch.to(device)  # noqa: SIM118 - a TensorDict refuses `in`

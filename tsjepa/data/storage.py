@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
+import shutil
 from pathlib import Path
 
+import numpy as np
+import torch
 from tensordict import TensorDict
 
 from tsjepa.support.files import replace_folder
+from tsjepa.support.spec import PlantSpec
 
 METADATA, JOURNAL = "metadata.json", "journal.jsonl"
-FORMAT = 1
+FORMAT = 2
 
 
 def file_sizes(folder: Path) -> dict[str, int]:
@@ -34,6 +39,31 @@ def content_hash(folder: Path) -> str:
     return digest.hexdigest()
 
 
+def check_space(folder: Path, needed: int) -> None:
+    """Raises OSError where the disk cannot hold ``needed`` more bytes; a full one would kill whoever writes a map."""
+    free = shutil.disk_usage(folder).free + sum(path.stat().st_blocks * 512 for path in folder.rglob("*"))
+    if free < needed:
+        raise OSError(f"The data set needs {needed / 1e6:.0f} MB, and {folder.parent} has {free / 1e6:.0f} MB free.")
+
+
+def start_split(folder: Path, trajectories: TensorDict, frame: tuple[int, int]) -> None:
+    """Writes all of one split [episodes, T + 1] but the frames, of ``frame`` (H, W), for which it makes room."""
+    stored = trajectories.memmap(folder)
+    shape = torch.Size((*trajectories.batch_size, *frame, 3))
+    stored.make_memmap("pixels", shape=shape, dtype=torch.uint8)
+    if hasattr(os, "posix_fallocate"):
+        # a map of a file without its blocks ends the process, without a word, on the frame that no longer fits
+        with (folder / "pixels.memmap").open("r+b") as file:
+            os.posix_fallocate(file.fileno(), 0, stored["pixels"].numel())
+
+
+def write_picture(path: Path, image: np.ndarray) -> None:
+    """Writes an RGB picture."""
+    import cv2
+
+    cv2.imwrite(str(path), image[..., ::-1])
+
+
 def publish(partial: Path, folder: Path, metadata: dict) -> None:
     """Writes a data set's metadata and renames ``partial`` to ``folder``, so that it is there whole or not at all."""
     metadata = {"format": FORMAT, **metadata, "sha256": content_hash(partial), "files": file_sizes(partial)}
@@ -53,7 +83,7 @@ def read_metadata(folder: str | Path) -> dict:
     path = folder / METADATA
     if not path.is_file():
         raise FileNotFoundError(
-            f"No data set in {folder}: collect one with `tsjepa collect --config recipes/data.yaml`."
+            f"No data set in {folder}: collect one with `tsjepa collect`, or import a recording with `tsjepa import`."
         )
     try:
         metadata = dict(json.loads(path.read_text()))
@@ -73,12 +103,17 @@ def read_metadata(folder: str | Path) -> dict:
     return metadata
 
 
+def spec_of(metadata: dict) -> PlantSpec:
+    """Names, units and ranges of the plant, or of the recording, that a data set is of."""
+    return PlantSpec.from_dict(metadata["spec"])
+
+
 def open_split(folder: str | Path, split: str) -> TensorDict:
     """One split as a memory-mapped TensorDict with batch size [episodes, T + 1].
 
-    Keys: ``pixels`` uint8 [H, W, 3], ``state`` [4], ``action`` [1] (the command applied in the slot that starts at this
-    frame; zero in the last one), ``expert_action`` [1] (the expert's command for x_d = 0 in the same state),
-    ``colors`` [2, 3].
+    Keys: ``pixels`` uint8 [H, W, 3], ``action`` [m] (the command applied in the slot that starts at this frame; zero in
+    the last one), and where the data set has them ``state`` [n], ``expert_action`` [m] (the expert's command for the
+    plant's own set-points in the same state), ``reference`` [r] (these set-points) and ``scene`` [s].
 
     Raises:
         FileNotFoundError, ValueError: see :func:`read_metadata`.

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 
 OWN = "expected by us, not printed"  # as the source of a claim
 REPRODUCED, PARTLY, NOT, UNMEASURED = "reproduced", "partly", "not", "not measured"
@@ -30,7 +32,7 @@ class Verdict:
     Args:
         verdict: one of the four above.
         ours: our figures.
-        reason: why it does not hold, or only in part; empty where it does.
+        reason: what in the figures speaks against it; empty where it holds.
     """
 
     verdict: str
@@ -43,6 +45,16 @@ def judge(holds: bool, ours: str, reason: str = "", partly: bool = False) -> Ver
     if holds:
         return Verdict(REPRODUCED, ours)
     return Verdict(PARTLY if partly else NOT, ours, reason)
+
+
+def setbacks(values: Mapping[float, float], rising: bool = True) -> str:
+    """The steps at which a series by its abscissa does not rise (or fall), in words; empty where there are none."""
+    steps = [
+        f"{first:g} to {second:g}"
+        for (first, before), (second, after) in pairwise(values.items())
+        if (after <= before if rising else after >= before)
+    ]
+    return f"it does not {'rise' if rising else 'fall'} from {', '.join(steps)}" if steps else ""
 
 
 CLAIMS = {

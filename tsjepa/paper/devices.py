@@ -4,30 +4,28 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from copy import copy
 from dataclasses import replace
-from functools import lru_cache
+from statistics import fmean
 
-import torch
+from torch import Tensor
 
-from tsjepa.envs.settings import Plants, Radio
-from tsjepa.envs.update_codec import FRAME_CODECS, fitted_codec
-from tsjepa.evaluation import fleet
-from tsjepa.evaluation.closed_loop import run
-from tsjepa.evaluation.fleet_search import mean
+from tsjepa.envs import Radio
+from tsjepa.envs.settings import FULL_BANDWIDTH_MHZ
 from tsjepa.evaluation.metrics import normalized_score
-from tsjepa.paper.loops import Camera, load
+from tsjepa.evaluation.rollouts import Loop, every, run
+from tsjepa.paper import rows
 from tsjepa.radio import GilbertElliott, IidLoss
-from tsjepa.radio.codecs import make_codec, payload_bits
+from tsjepa.radio.codecs import FRAME_CODECS
 
 ACCEPTABLE = 0.74  # normalised score (the paper's [0.74, 1.0])
 PER_OCTAVE = 2
 STEEP = 0.1  # fall of the score from which on it is more than the noise of a few seeds
 SLACK = 0.05  # score by which one seed may stay below the acceptable one for all to be tried
 RADIO_FIELDS = ("resource_blocks", "bandwidth_mhz", "snr_target_db", "csi", "csi_delay", "max_doppler_hz")
-FULL_BANDWIDTH_MHZ = 20.0
-CALIBRATION_SEED = 10_000  # starts that no evaluation uses
+CALIBRATION_SEED = 10_000  # starts that no evaluation reaches
+CALIBRATION_STARTS, CALIBRATION_PERIOD = 10, 10
 RESERVED_OVER_LARGEST = 1.1  # what a device reserves for a picture, over the largest that the expert's loops show
+EXACT, AT_LEAST, AT_MOST = "exact", "at least", "at most"
 
 
 def device_rows(point: dict) -> list[dict]:
@@ -43,58 +41,88 @@ def device_rows(point: dict) -> list[dict]:
 
     Returns:
         A row for each seed and size that was tried, with ``num_devices``, ``score``, ``mean_age``, ``failed``,
-        ``utilisation``; and a row a seed with ``devices``, where its score crosses the acceptable one, scaled to 20 MHz
-        where the point has a ``bandwidth_mhz``, and ``bound``: "exact", "at least" or "at most". The sizes are tried
-        with the first seed, those on either side of the crossing with all of them.
+        ``utilisation``; and those of :func:`found`. The sizes are tried with the first seed, those on either side of
+        the crossing with all of them.
     """
-    model = None if point["model"] is None else load(point["model"])
-    if point.get("between") == "hold":
-        model = without_predictor(model)
-    history = 2 if model is None else model.frame_history
-    plants = Plants(point["slots"], process_noise_std=point["process_noise_std"], frame_history=history)
-    codec = codec_of(point, model)
-    radio = radio_of(point, plants, codec, model)
-    optimal = optimal_scores(plants, point["seeds"], point["largest"])
-    if not optimal[:, : point["smallest"]].sum(1).all():
-        raise ValueError(
-            f"For some seed none of {point['smallest']} devices is in the box within {point['slots']} slots even with "
-            "perfect feedback, so scores cannot be normalised; raise smallest or slots."
-        )
+    loop = loop_of(point)
+    largest = Loop(loop.plant, loop.controller, num_devices=point["largest"], slots=loop.slots)
+    optimal = rows.optimal_of(largest, point["seeds"])
     measured: dict[tuple[int, int], dict] = {}
 
     def scores(size: int, seeds: int) -> list[float]:
         for seed in range(seeds):
             if (size, seed) not in measured:
-                measured[size, seed] = measure(size, seed, point["scheduler"], plants, radio, codec, model, optimal)
+                measured[size, seed] = measure(loop, size, seed, optimal)
         return [measured[size, seed]["score"] for seed in range(seeds)]
 
     curve, bound = bracket(scores, sizes_between(point["smallest"], point["largest"]), point["seeds"])
     if point.get("also_at"):
         scores(point["also_at"], point["seeds"])
-    scale = FULL_BANDWIDTH_MHZ / point.get("bandwidth_mhz", FULL_BANDWIDTH_MHZ)
-    found = [{"seed": seed, "devices": scale * size, "bound": bound} for seed, size in enumerate(crossings(curve))]
-    return [*measured.values(), *found]
+    return [*measured.values(), *found(curve, bound, per_full_bandwidth(loop))]
 
 
-def without_predictor(model):
-    """The same controller, whose last command is held between updates."""
-    held = copy(model)
-    held.architecture = replace(model.architecture, has_predictor=False)
-    return held
+def loop_of(point: dict) -> Loop:
+    """The loop of a point, of any number of devices."""
+    model = None if point["model"] is None else rows.load(point["model"])
+    interval = rows.SAMPLING_INTERVAL if model is None else model.spec.slot
+    loop = Loop(
+        rows.plant_of(interval, point["process_noise_std"]),
+        model or "hold",
+        point["scheduler"],
+        slots=point["slots"],
+        between=point.get("between"),
+    )
+    return replace(loop, radio=radio_of(point, loop))
 
 
-def measure(size: int, seed: int, scheduler: str, plants: Plants, radio: Radio, codec, model, optimal) -> dict:
-    """One fleet, one seed."""
-    outcome = fleet.run_fleet(size, scheduler, seed, plants, radio, codec, fleet.HOLD if model is None else model)
+def measure(loop: Loop, size: int, seed: int, optimal: Tensor) -> dict:
+    """One fleet, one seed; ``optimal`` [seeds, I] are the normaliser's scores."""
+    fleet = run(replace(loop, num_devices=size), seed)
     return {
         "seed": seed,
         "num_devices": size,
-        "score": normalized_score(outcome.loop.raw_score(), optimal[seed, :size]),
-        "mean_age": float(outcome.age.double().mean()),
-        "failed": float(outcome.loop.failed().float().mean()),
-        "utilisation": outcome.utilisation(),
-        "bits_per_device_and_slot": float(outcome.payload_bits.double().mean()),
+        "score": normalized_score(fleet.raw_score(), optimal[seed, :size]),
+        "mean_age": float(fleet.age.double().mean()),
+        "failed": float(fleet.failed().float().mean()),
+        "utilisation": fleet.utilisation(),
+        "bits_per_device_and_slot": float(fleet.payload_bits.double().mean()),
+        "optimal_policy": loop.plant.normaliser,
     }
+
+
+def per_full_bandwidth(loop: Loop) -> float:
+    """How many times the resource units of a slot go into those of the full bandwidth; 1 where blocks are counted.
+
+    Units, not megahertz: of 26.5 units a slot has 26.
+    """
+    if loop.radio.resource_blocks is not None:
+        return 1.0
+    slot = loop.plant.spec.slot
+    return replace(loop.radio, bandwidth_mhz=FULL_BANDWIDTH_MHZ).units(slot) / loop.radio.units(slot)
+
+
+def found(curve: dict[int, list[float]], bound: str, scale: float) -> list[dict]:
+    """A row a seed with ``devices``, where its score crosses the acceptable one, times ``scale``.
+
+    ``bound`` says whether the mean over seeds crosses between the sizes tried ("exact"), or beyond them ("at least") or
+    before ("at most"); ``own_bound`` says the same of the seed's own scores. A seed that does not cross where the mean
+    does has its number by extrapolation, see :func:`crossings`.
+
+    Args:
+        curve: scores of all seeds by size, as :func:`bracket` gives them.
+        bound: likewise.
+        scale: to the full bandwidth.
+    """
+    return [
+        {"seed": seed, "devices": scale * size, "bound": bound, "own_bound": own_bound(curve, seed)}
+        for seed, size in enumerate(crossings(curve))
+    ]
+
+
+def own_bound(curve: dict[int, list[float]], seed: int) -> str:
+    """Whether a seed's own scores lie on both sides of the acceptable one, or all above it, or all below."""
+    acceptable = [scores[seed] >= ACCEPTABLE for scores in curve.values()]
+    return AT_LEAST if all(acceptable) else EXACT if any(acceptable) else AT_MOST
 
 
 def sizes_between(smallest: int, largest: int) -> list[int]:
@@ -117,7 +145,7 @@ def bracket(
     the curve is flat; all seeds are then tried from there downwards, until a size is acceptable.
 
     Args:
-        scores: from a size and a number of seeds to the score of each; asked again it answers the same, for nothing.
+        scores: from a size and a number of seeds to the score of each; it is asked for the same one several times.
         sizes: ascending.
         seeds: how many.
 
@@ -131,17 +159,17 @@ def bracket(
         good, bad = (middle, bad) if scores(sizes[middle], 1)[0] >= ACCEPTABLE - SLACK else (good, middle)
 
     def acceptable(index: int) -> bool:
-        return mean(scores(sizes[index], seeds)) >= ACCEPTABLE
+        return fmean(scores(sizes[index], seeds)) >= ACCEPTABLE
 
     while good >= 0 and not acceptable(good):
         good, bad = good - 1, good
     while bad < len(sizes) and acceptable(bad):
         good, bad = bad, bad + 1
-    bound = "at most" if good < 0 else "at least" if bad == len(sizes) else "exact"
+    bound = AT_MOST if good < 0 else AT_LEAST if bad == len(sizes) else EXACT
     fallen = bad
-    if bound == "exact":
-        enough = mean(scores(sizes[good], seeds)) - STEEP
-        while fallen + 1 < len(sizes) and mean(scores(sizes[fallen], seeds)) > enough:
+    if bound == EXACT:
+        enough = fmean(scores(sizes[good], seeds)) - STEEP
+        while fallen + 1 < len(sizes) and fmean(scores(sizes[fallen], seeds)) > enough:
             fallen += 1
     around = sorted({index for index in (good, bad, fallen) if 0 <= index < len(sizes)})
     return {sizes[index]: scores(sizes[index], seeds) for index in around}, bound
@@ -163,57 +191,34 @@ def crossings(curve: dict[int, list[float]]) -> list[float]:
         return [float(size)] * len(values)
     (good, above), (bad, below), *_ = sorted(curve.items())
     last, lowest = max(curve.items())
-    share = (mean(above) - ACCEPTABLE) / (mean(above) - mean(below))
-    slope = (mean(above) - mean(lowest)) / math.log2(last / good)
+    share = (fmean(above) - ACCEPTABLE) / (fmean(above) - fmean(below))
+    slope = (fmean(above) - fmean(lowest)) / math.log2(last / good)
     there = [(1 - share) * high + share * low for high, low in zip(above, below, strict=True)]
     return [good * (bad / good) ** share * 2 ** ((score - ACCEPTABLE) / slope) for score in there]
 
 
-@lru_cache(maxsize=8)
-def optimal_scores(plants: Plants, seeds: int, count: int) -> torch.Tensor:
-    """See :func:`tsjepa.evaluation.fleet.optimal_scores`; kept for the next point."""
-    return fleet.optimal_scores(plants, seeds, count)[1]
-
-
-def codec_of(point: dict, model):
-    """The codec of an update, with the quality that the point asks for."""
-    if point["codec"] in FRAME_CODECS:
-        stack = model.frame_stack
-        return make_codec(point["codec"], quality=point.get("quality") or 50, frame_stack=stack)
-    return fitted_codec(point["codec"], model)
-
-
-def radio_of(point: dict, plants: Plants, codec, model) -> Radio:
+def radio_of(point: dict, loop: Loop) -> Radio:
     """The uplink of a point."""
-    loss, burst = point.get("loss", 0.0), point.get("burst_slots")
+    loss, burst, quality = point.get("loss", 0.0), point.get("burst_slots"), point.get("quality")
     if burst is not None:
         # a run of erasures lasts burst_slots on average, and erased slots are the given share
         process = GilbertElliott(good_to_bad=loss / (1 - loss) / burst, bad_to_good=1 / burst)
     else:
         process = IidLoss(loss) if loss else None
-    varies = point["codec"] in FRAME_CODECS and point["codec"] != "raw"
     given = {name: point[name] for name in RADIO_FIELDS if name in point}
-    return Radio(
+    radio = Radio(
         **{"resource_blocks": None} | given,
         codec=point["codec"],
-        payload_bits=reserved_bits(plants, codec, model) if varies else None,
+        quality=Radio.quality if quality is None else quality,
         snr_threshold_db=point["snr_threshold_db"],
         loss=process,
     )
+    varies = point["codec"] in FRAME_CODECS and point["codec"] != "raw"
+    return replace(radio, payload_bits=reserved_bits(loop, radio)) if varies else radio
 
 
-def reserved_bits(plants: Plants, codec, model, count: int = 10) -> int:
+def reserved_bits(loop: Loop, radio: Radio) -> int:
     """Bits to reserve for a picture: the largest along loops that the expert closes, and a tenth more."""
-    from tsjepa.plants.expert import Expert
-
-    camera, expert, largest = Camera(), Expert(plants.sampling_interval), 0
-
-    def watched(slot: int, observation) -> torch.Tensor:
-        nonlocal largest
-        if slot % 10 == 0:
-            packets = codec.encode(camera.stacks(model, slot, observation))
-            largest = max(largest, int(payload_bits(packets).max()))
-        return expert(observation["state"])
-
-    run(plants.starts(CALIBRATION_SEED, count), watched)
-    return int(RESERVED_OVER_LARGEST * largest)
+    alone = Radio(codec=radio.codec, quality=radio.quality, lossless=True)
+    sending = replace(every(loop, CALIBRATION_PERIOD), radio=alone, num_devices=CALIBRATION_STARTS)
+    return int(RESERVED_OVER_LARGEST * int(rows.driven(sending, CALIBRATION_SEED).payload_bits.max()))

@@ -19,6 +19,8 @@ CAPTION = (
 MEASURES = ("devices",)
 SUPERVISED = devices_encoding.CODED
 HELD = "TS-JEPA, command held"
+SUBSTANTIAL = 1.5  # times the devices
+KEPT, KEPT_MORE = 0.75, 0.1  # share of the devices that has to be left, and more of it than the supervised one's
 points = devices_encoding.points
 evaluate = devices_encoding.evaluate
 
@@ -44,13 +46,14 @@ def verdicts(records: list[dict]) -> dict[str, Verdict]:
     }
     if not times:
         return {}
+    short = [f"supervised, {rival}, at {loss:g}" for (loss, rival), value in times.items() if value.low <= SUBSTANTIAL]
     found = {
         "devices_loss": judge(
-            all(value.low > 1.5 for value in times.values()),
+            not short,
             "; ".join(
                 f"loss {loss:g}: {value.times(f'supervised, {rival}')}" for (loss, rival), value in times.items()
             ),
-            "less than half as many again at some loss",
+            f"not clearly {SUBSTANTIAL} times {'; '.join(short)}",
             partly=all(value.low > 1 for value in times.values()),
         )
     }
@@ -62,13 +65,16 @@ def verdicts(records: list[dict]) -> dict[str, Verdict]:
     if OURS in kept and SUPERVISED in kept and len(losses) > 1:
         share = {label: after / before for label, (after, before) in kept.items()}
         found["supervised_loss"] = judge(
-            share[OURS] > share[SUPERVISED] + 0.1 and share[OURS] >= 0.75,
+            share[OURS] > share[SUPERVISED] + KEPT_MORE and share[OURS] >= KEPT,
             ", ".join(
                 f"{label} keeps {value:.0%} of its devices at a loss of {losses[-1]:g}"
                 for label, value in share.items()
             ),
-            "losing half the packets halves the updates for everybody: prediction raises the number of devices, it "
-            "does not make it independent of loss",
+            f"{OURS} keeps "
+            + " and ".join(
+                [f"less than {KEPT:.0%}"] * (share[OURS] < KEPT)
+                + [f"no more than {KEPT_MORE:.0%} above {SUPERVISED}"] * (share[OURS] <= share[SUPERVISED] + KEPT_MORE)
+            ),
             partly=share[OURS] > share[SUPERVISED],
         )
     return found

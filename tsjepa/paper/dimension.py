@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from itertools import pairwise
 from pathlib import Path
 
 from tsjepa.paper import one_device, plots
-from tsjepa.paper.claims import Verdict, judge
+from tsjepa.paper.claims import Verdict, judge, setbacks
 from tsjepa.paper.panels import draw_over
 from tsjepa.paper.store import flat
 
@@ -56,30 +54,26 @@ def verdicts(records: list[dict]) -> dict[str, Verdict]:
     found = {}
     if len(errors) > 1:
         found["dimension_nmae"] = judge(
-            rises([-error for error in errors.values()]),
+            not setbacks(errors, rising=False),
             f"command NMAE {listed(errors, 4)}",
-            "the state has four numbers and its two frames show them to few dimensions as well as to many",
+            setbacks(errors, rising=False),
             partly=errors[max(errors)] < errors[min(errors)],
         )
-        found["dimension_bits"] = judge(
-            rises(bits.values()), f"bits per slot {listed(bits, 0)}", "the payload does not grow with the dimension"
-        )
+        found["dimension_bits"] = judge(not setbacks(bits), f"bits per slot {listed(bits, 0)}", setbacks(bits))
     if len(scores) > 1:
         tenth = plots.select(rows, update_every=10)
         largest, smallest = (plots.select(tenth, dimension=end(scores)) for end in (max, min))
         gain, half = plots.lead(largest, smallest, "score")
         found["dimension_score"] = judge(
-            rises(scores.values()) and gain > half,
-            f"normalised score with an update every 10 slots {listed(scores, 3)}",
-            f"it does not rise with every doubling; the largest leads the smallest by {gain:.3f} ± {half:.3f}",
+            not setbacks(scores) and gain > half,
+            f"normalised score with an update every 10 slots {listed(scores, 3)}; the largest leads the smallest by "
+            f"{gain:.3f} ± {half:.3f}",
+            "; ".join(
+                [setbacks(scores)] * bool(setbacks(scores)) + ["the lead lies within its interval"] * (gain <= half)
+            ),
             partly=gain > half,
         )
     return found
-
-
-def rises(values: Iterable[float]) -> bool:
-    """Whether every value is larger than the one before."""
-    return all(first < second for first, second in pairwise(values))
 
 
 def listed(values: dict[int, float], digits: int) -> str:

@@ -12,13 +12,12 @@ from pathlib import Path
 
 import numpy as np
 
-from tsjepa.envs.settings import Plants, Radio
-from tsjepa.envs.update_codec import fitted_codec
-from tsjepa.evaluation.fleet import FleetRun, run_fleet
-from tsjepa.evaluation.fleet_film import has_fallen
-from tsjepa.paper.devices import without_predictor
-from tsjepa.paper.loops import load
-from tsjepa.plants.score import FAILURE_POSITION, in_box
+from tsjepa.envs import Radio
+from tsjepa.evaluation import rollouts
+from tsjepa.evaluation.metrics import Run
+from tsjepa.evaluation.rollouts import Loop
+from tsjepa.paper.rows import SAMPLING_INTERVAL, load, plant_of
+from tsjepa.plants.cartpole import FAILURE_POSITION
 
 WIDTH, MARGIN, GAP = 800, 12, 24
 HEAD, FOOT = 92, 46
@@ -38,7 +37,7 @@ class Side:
 
     title: str
     sends: str
-    run: FleetRun
+    run: Run
 
 
 def film(
@@ -86,12 +85,10 @@ def film(
 def fleet(title, entry, codec_name, scheduler, num_devices, bandwidth_mhz, slots, seed) -> Side:
     """Runs one of the two fleets; see :func:`film`."""
     model = load(entry)
-    # with equally long histories both fleets have the same starts
-    plants = Plants(slots=slots, frame_history=max(2, model.frame_history))
     radio = Radio(resource_blocks=None, bandwidth_mhz=bandwidth_mhz, codec=codec_name)
-    codec = fitted_codec(codec_name, model)
-    controller = model if codec_name == "int8" else without_predictor(model)
-    run = run_fleet(num_devices, scheduler, seed, plants, radio, codec, controller)
+    between = "predict" if codec_name == "int8" else "hold"
+    loop = Loop(plant_of(SAMPLING_INTERVAL), model, scheduler, num_devices, slots, radio, between=between)
+    run = rollouts.run(loop, seed)
     bits = int(run.payload_bits.max())
     return Side(title, f"{bits / 1000:.0f} kbit an update" if bits >= 10_000 else f"{bits} bit an update", run)
 
@@ -137,7 +134,7 @@ def header(canvas: np.ndarray, side: Side, slot: int, left: float, width: float)
         box(canvas, left + width * (1 - fallen / count), 79, width * fallen / count, 5, DOWN)
 
 
-def device_tile(canvas, run: FleetRun, slot: int, device: int, fallen: bool, x: float, y: float, size: float) -> None:
+def device_tile(canvas, run: Run, slot: int, device: int, fallen: bool, x: float, y: float, size: float) -> None:
     """Cart and pole on a ground that darkens with age, framed while the device sends."""
     import cv2
 
@@ -148,7 +145,7 @@ def device_tile(canvas, run: FleetRun, slot: int, device: int, fallen: bool, x: 
     if run.scheduled[slot, device]:
         color = SENT if run.delivered[slot, device] else LOST
         frame(canvas, x + pad + 0.5, y + pad + 0.5, width - 2 * pad - 1, height - 2 * pad - 1, color)
-    position, angle = run.loop.state[slot, device, :2].tolist()
+    position, angle = run.state[slot, device, :2].tolist()
     color = DOWN if fallen else IN_BOX if inside(run, slot)[device] else INK
     reach = (width / 2 - 9) / FAILURE_POSITION
     centre = x + width / 2 + max(-FAILURE_POSITION, min(FAILURE_POSITION, position)) * reach
@@ -184,9 +181,14 @@ def footer(canvas: np.ndarray, slot: int, height: int, bandwidth_mhz: float) -> 
     )
 
 
-def inside(run: FleetRun, slot: int) -> np.ndarray:
+def inside(run: Run, slot: int) -> np.ndarray:
     """[I] bool: which devices are in the box when the slot begins."""
-    return in_box(run.loop.state[slot]).numpy()
+    return plant_of(SAMPLING_INTERVAL).score(run.state[slot]).numpy()
+
+
+def has_fallen(run: Run, slot: int) -> np.ndarray:
+    """[I] bool: which devices have fallen before the slot, or as it begins."""
+    return run.failed_now[: slot + 1].any(0).numpy()
 
 
 def at(x: float, y: float) -> tuple[int, int]:

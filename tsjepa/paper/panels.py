@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from tsjepa.evaluation.closed_loop import ONCE
+from tsjepa.evaluation.rollouts import ONCE
 from tsjepa.paper import plots
-from tsjepa.paper.loops import CURVE_STEP
+from tsjepa.paper.rows import CURVE_STEP
 from tsjepa.paper.store import flat
 
 

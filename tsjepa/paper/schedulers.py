@@ -103,8 +103,7 @@ def verdicts(records: list[dict]) -> dict[str, Verdict]:
                 for case in dict.fromkeys(case for case, _ in times)
             )
             + f"; mean age in slots: {ages}",
-            f"not clearly ahead of {', '.join(behind)}: what it knows of the channel is then no help, or worth no more "
-            "than the age",
+            f"not clearly ahead of {', '.join(behind)}",
             partly=any(value.low > 1 for value in times.values()),
         )
     }

@@ -30,6 +30,7 @@ class View:
         supersampling: factor by which a larger picture is rendered and averaged down.
         eyes: metres between the two eyes whose mean MuJoCo draws. Only with 0 is what is drawn of a picture exactly
             where the moving parts are.
+        orientation: as a quaternion, scalar first, instead of yaw, pitch and roll.
     """
 
     position: tuple[float, float, float]
@@ -40,9 +41,12 @@ class View:
     samples: int = 4
     supersampling: int = 2
     eyes: float = 0.0
+    orientation: tuple[float, float, float, float] | None = None
 
     def quaternion(self) -> np.ndarray:
         """The camera's orientation [4], scalar first."""
+        if self.orientation is not None:
+            return np.array(self.orientation)
         pose = _turn((1.0, 0.0, 0.0), math.pi / 2 - math.radians(self.pitch))
         if self.yaw:
             pose = _multiply(_turn((0.0, 0.0, 1.0), math.radians(self.yaw)), pose)

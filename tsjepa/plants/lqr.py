@@ -8,7 +8,9 @@ import torch
 from torch import Tensor, nn
 
 
-def lqr_gain(a: Tensor, b: Tensor, state_weights: Sequence[float], action_weights: Sequence[float] | float) -> Tensor:
+def lqr_gain(
+    a: Tensor, b: Tensor, state_weights: Sequence[float] | Tensor, action_weights: Sequence[float] | float
+) -> Tensor:
     """Gain of the infinite-horizon linear-quadratic regulator of s[k+1] = A s[k] + B u[k].
 
     Solves the discrete Riccati equation by the structure-preserving doubling algorithm (Chu, Fan, Lin and Wang,
@@ -16,7 +18,7 @@ def lqr_gain(a: Tensor, b: Tensor, state_weights: Sequence[float], action_weight
 
     Args:
         a, b: A [n, n] and B [n, m], float64.
-        state_weights: the diagonal of Q [n].
+        state_weights: the diagonal of Q [n], or Q [n, n].
         action_weights: the diagonal of R [m], or one number for all.
 
     Returns:
@@ -25,7 +27,8 @@ def lqr_gain(a: Tensor, b: Tensor, state_weights: Sequence[float], action_weight
     size = len(a)
     weights = torch.as_tensor(action_weights, dtype=torch.float64).expand(b.shape[1])
     transition, control = a, b @ torch.diag(1 / weights) @ b.T
-    cost = torch.diag(torch.as_tensor(state_weights, dtype=torch.float64))
+    cost = torch.as_tensor(state_weights, dtype=torch.float64)
+    cost = torch.diag(cost) if cost.ndim == 1 else cost
     identity = torch.eye(size, dtype=torch.float64)
     for _ in range(60):
         solved = torch.linalg.solve(identity + control @ cost, torch.cat([transition, control], dim=1))

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from tsjepa.plants.lens import View
+from tsjepa.plants.plant import Plant
 from tsjepa.plants.streams import COLOR, NOISE, REFERENCE, START, normals, uniforms
 from tsjepa.support.spec import PlantSpec
 
@@ -22,14 +23,14 @@ DARKEST = 0.25  # of a colour's components, so that it shows on black
 DIFFERENCE = 1e-5  # of the finite differences, in the state's and the command's units
 
 
-class MujocoPlant:
+class MujocoPlant(Plant):
     """The part of a plant that follows from a MuJoCo model; see :class:`tsjepa.plants.plant.Plant` for its methods.
 
     The physics is [N, nq + nv + na]: joint positions, velocities, activations. Its scene is the positions, then RGB of
     every moving geom. A subclass has ``state``, ``score``, ``failed`` and ``experts``, and may replace the rest.
 
     Args:
-        model: whose camera is called "view"; its timestep is set to fill the slot.
+        model: with a camera called "view", or else its first one; its timestep is set to fill the slot.
         spec: names, units and ranges.
         view: the camera.
         start_half_widths: of the uniform start about zero, [nq + nv], in metres, radians and per second.
@@ -39,8 +40,6 @@ class MujocoPlant:
     Raises:
         ValueError: a half-width or a standard deviation that is negative, not finite, or not one for each.
     """
-
-    normaliser = "expert"
 
     def __init__(
         self,
@@ -82,11 +81,15 @@ class MujocoPlant:
     def advance(self, physics, action, seed, device, episode, slot) -> np.ndarray:
         """One slot with the command held, then the noise on the velocities."""
         check_action(action, self.spec)
-        physics = self.stepper.advance(physics, action)
+        physics = self.stepper.advance(physics, self.control(action))
         if self.process_noise_std.any():
             nq, nv = self.model.nq, self.model.nv
             physics[:, nq : nq + nv] += self.process_noise_std * normals(seed, NOISE, device, episode, slot, nv)
         return physics
+
+    def control(self, action: np.ndarray) -> np.ndarray:
+        """What the model's actuators [N, nu] are given for commands [N, m]."""
+        return action
 
     def scene(self, physics, seed, device, episode) -> np.ndarray:
         """Joint positions, then RGB of every moving geom."""
@@ -112,14 +115,6 @@ class MujocoPlant:
         """See :meth:`tsjepa.plants.renderer.Renderer.metadata`."""
         return self.renderer.metadata()
 
-    def references(self, seed, device, episode, slot) -> np.ndarray | None:
-        """None: nothing is tracked but the goal itself."""
-        return None
-
-    def goals(self, episodes: int, slots: int, generator: torch.Generator) -> Tensor | None:
-        """None: trajectories have the plant's own goal."""
-        return None
-
     def linear(self) -> tuple[Tensor, Tensor] | None:
         """Central differences about zero, for machines whose state is their physics."""
         size, width = self.model.nq + self.model.nv, self.spec.action_dim
@@ -129,13 +124,13 @@ class MujocoPlant:
         jacobian = torch.from_numpy((after[: size + width] - after[size + width :]).T / (2 * DIFFERENCE))
         return jacobian[:, :size].contiguous(), jacobian[:, size:].contiguous()
 
-    def experts(self) -> dict[str, nn.Module]:
-        raise NotImplementedError
-
 
 def place_camera(model: mujoco.MjModel, view: View) -> None:
-    """Points the model's camera "view"."""
-    camera = model.camera("view").id
+    """Fixes the model's camera "view" (or its first) to the world."""
+    from tsjepa.plants.renderer import view_camera
+
+    camera = view_camera(model)
+    model.cam_bodyid[camera], model.cam_mode[camera] = 0, 0
     model.cam_pos[camera], model.cam_quat[camera] = view.position, view.quaternion()
     model.cam_fovy[camera], model.cam_ipd[camera] = view.fovy, view.eyes
 

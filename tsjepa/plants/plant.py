@@ -1,8 +1,8 @@
-"""The Plant protocol: the one place that knows a machine. Everything that changes is in the arguments."""
+"""The plant: the one place that knows a machine. Everything that changes is in the arguments."""
 
 from __future__ import annotations
 
-from typing import Protocol, runtime_checkable
+from abc import ABC, abstractmethod
 
 import numpy as np
 import torch
@@ -11,8 +11,7 @@ from torch import Tensor, nn
 from tsjepa.support.spec import PlantSpec
 
 
-@runtime_checkable
-class Plant(Protocol):
+class Plant(ABC):
     """A kind of machine, of which N independent ones are computed at once.
 
     No method keeps anything between calls: what a row gives depends on that row's arguments alone, so a fleet may be
@@ -20,12 +19,14 @@ class Plant(Protocol):
     """
 
     spec: PlantSpec
-    normaliser: str
+    normaliser: str = "expert"
     """Name of the expert whose score with perfect feedback is 1 in every normalised score."""
 
+    @abstractmethod
     def start(self, seed: int, device: np.ndarray, episode: np.ndarray) -> np.ndarray:
         """Physics [N, p] float64 at the start of an episode."""
 
+    @abstractmethod
     def advance(
         self,
         physics: np.ndarray,
@@ -41,32 +42,42 @@ class Plant(Protocol):
             ValueError: a command outside the actuator's range, or that is not a number.
         """
 
+    @abstractmethod
     def state(self, physics: np.ndarray) -> np.ndarray:
         """State [N, n] float64, with angles as they are scored."""
 
+    @abstractmethod
     def scene(self, physics: np.ndarray, seed: int, device: np.ndarray, episode: np.ndarray) -> np.ndarray:
         """All that a camera needs, [N, s] float32: poses and colours."""
 
+    @abstractmethod
     def render(self, scene: np.ndarray) -> np.ndarray:
         """Pictures uint8 [N, H, W, 3] of scenes [N, s]."""
 
     def camera(self) -> dict:
         """How pictures are made, for the record: view, samples, GL renderer."""
+        return {}
 
     def references(self, seed: int, device: np.ndarray, episode: np.ndarray, slot: np.ndarray) -> np.ndarray | None:
         """Set-points [N, r] of a slot, known at the controller; None where the plant has none."""
+        return None
 
+    @abstractmethod
     def score(self, state, reference=None):
         """How well states [..., n] do, [...] in 0..1; of NumPy arrays and of tensors alike."""
 
     def failed(self, state):
         """Whether states [..., n] are beyond recovery, [...] bool; of NumPy arrays and of tensors alike."""
+        return abs(state[..., 0]) > np.inf
 
+    @abstractmethod
     def experts(self) -> dict[str, nn.Module]:
         """Policies from (state [..., n], reference [..., r] or None) to commands [..., m]; the first is imitated."""
 
     def goals(self, episodes: int, slots: int, generator: torch.Generator) -> Tensor | None:
         """Set-points [episodes, slots, r] that make recorded trajectories cover the states; None for none."""
+        return None
 
     def linear(self) -> tuple[Tensor, Tensor] | None:
         """A [n, n] and B [n, m] in float64 of the state one slot later near the goal; None where there are none."""
+        return None

@@ -22,8 +22,13 @@ def moving_geoms(model: mujoco.MjModel) -> list[int]:
     return [geom for geom in range(model.ngeom) if model.body_weldid[model.geom_bodyid[geom]] != 0]
 
 
+def view_camera(model: mujoco.MjModel) -> int:
+    """Index of the camera called "view", or of the first one."""
+    return max(0, mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_CAMERA, "view"))
+
+
 def geom_colors(model: mujoco.MjModel, geoms: list[int]) -> np.ndarray:
-    """RGB float32 [len(geoms), 3] as MuJoCo takes it: the geom's own, unless that is the default and it has a material."""
+    """RGB float32 [len(geoms), 3] as MuJoCo takes it: the material's, where the geom has one and names no colour."""
     colors = model.geom_rgba[geoms].copy()
     plain = (colors == DEFAULT_RGBA).all(axis=1) & (model.geom_matid[geoms] >= 0)
     colors[plain] = model.mat_rgba[model.geom_matid[geoms][plain]]
@@ -177,9 +182,11 @@ class Renderer:
         for flag in DISABLED:
             self._scene.flags[getattr(mujoco.mjtRndFlag, f"mjRND_{flag}")] = 0
         camera = mujoco.MjvCamera()
-        camera.type, camera.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, self.model.camera("view").id
+        camera.type, camera.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, view_camera(self.model)
         mujoco.mj_forward(self.model, self._data)
         option = mujoco.MjvOption()
+        # of all that moves only geoms are drawn again in every frame
+        option.sitegroup[:], option.tendongroup[:], option.skingroup[:] = 0, 0, 0
         mujoco.mjv_updateScene(
             self.model, self._data, option, None, camera, mujoco.mjtCatBit.mjCAT_ALL.value, self._scene
         )

@@ -15,8 +15,8 @@ Allowed = Callable[[type], bool]
 def describe(value: Any, allowed: Allowed) -> Any:
     """Plain values for an object: ``{"class_path": ..., "init_args": {...}}``, everything inside it likewise.
 
-    An object keeps each argument of its constructor as an attribute of the same name; that is all it has to do to be
-    stored. Tensors, arrays and tuples become lists.
+    An object keeps each argument of its constructor as an attribute of the same name, or all of them in a dictionary
+    ``init_args``; that is all it has to do to be stored. Tensors, arrays and tuples become lists.
 
     Args:
         value: an object whose class is allowed, or a plain value.
@@ -30,12 +30,13 @@ def describe(value: Any, allowed: Allowed) -> Any:
         for name, parameter in inspect.signature(kind).parameters.items():
             if parameter.kind in (parameter.VAR_POSITIONAL, parameter.VAR_KEYWORD):
                 continue
-            if not hasattr(value, name):
+            kept = getattr(value, "init_args", None)
+            if kept is None and not hasattr(value, name):
                 raise ValueError(
                     f"{kind.__qualname__} cannot be stored, because it does not keep its argument {name!r}: set "
                     f"self.{name} in its constructor."
                 )
-            arguments[name] = describe(getattr(value, name), allowed)
+            arguments[name] = describe(getattr(value, name) if kept is None else kept[name], allowed)
         return {"class_path": f"{kind.__module__}.{kind.__qualname__}", "init_args": arguments}
     if hasattr(value, "tolist"):
         return value.tolist()

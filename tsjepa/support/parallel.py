@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import torch
 from torch import Tensor, distributed
+from torch.nn import functional as F
 
 
 def rank_and_world_size() -> tuple[int, int]:
@@ -14,7 +15,7 @@ def rank_and_world_size() -> tuple[int, int]:
 
 
 def gather(rows: Tensor) -> Tensor:
-    """The rows [N, d] of all processes, [world size * N, d], for a loss over the whole batch.
+    """The rows [N, d] of all processes, one after the other, for a loss over the whole batch; N may differ.
 
     Gradients flow back to every process's rows; with the mean that DistributedDataParallel takes they are those of one
     process with the whole batch.
@@ -23,4 +24,9 @@ def gather(rows: Tensor) -> Tensor:
         return rows
     from torch.distributed.nn.functional import all_gather
 
-    return torch.cat(all_gather(rows))
+    own = torch.tensor([len(rows)], device=rows.device)
+    counts = [torch.zeros_like(own) for _ in range(rank_and_world_size()[1])]
+    distributed.all_gather(counts, own)
+    counts = torch.cat(counts).tolist()
+    padded = all_gather(F.pad(rows, (0, 0, 0, max(counts) - len(rows))))
+    return torch.cat([part[:count] for part, count in zip(padded, counts, strict=True)])

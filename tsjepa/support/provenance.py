@@ -5,12 +5,13 @@ from __future__ import annotations
 import hashlib
 import inspect
 import os
-import platform
 import subprocess
 import sys
 from datetime import datetime, timezone
 from importlib.metadata import version
 from pathlib import Path
+
+from tsjepa.support.precision import LIMITS, cpu_flags, processor
 
 # what decides the figures; results lie elsewhere and change while they are made
 CODE = ("tsjepa", "recipes", "pyproject.toml")
@@ -31,13 +32,9 @@ def provenance() -> dict[str, str]:
 
 
 def machine() -> dict[str, str | int]:
-    """Processor, and its number of cores here."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-        name = next(line.split(":")[1].strip() for line in lines if line.startswith("model name"))
-    except (OSError, StopIteration):
-        name = platform.processor() or platform.machine()
-    return {"processor": name, "cores": os.cpu_count() or 1}
+    """Processor, its number of cores here, the instruction sets it has, and what the environment limits them to."""
+    limits = {name: os.environ[name] for name in LIMITS if name in os.environ}
+    return {"processor": processor(), "cores": os.cpu_count() or 1, "flags": " ".join(cpu_flags()), **limits}
 
 
 def commit_of(folder: Path) -> str | None:

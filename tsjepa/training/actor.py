@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import lightning
 import torch
@@ -11,23 +10,29 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
 from tsjepa.models import SemanticController, entries
-from tsjepa.models.actor import COMMAND_LIMIT
+from tsjepa.plants import build_plant
+from tsjepa.support.parallel import rank_and_world_size
+from tsjepa.support.seeds import derive, run_seed
+from tsjepa.training.controllers import new_controller
+from tsjepa.training.embeddings import commands_to_imitate
 from tsjepa.training.schedule import warmup_cosine_schedule
+from tsjepa.training.statistics import command_nmae, squared_command_error
 
 
 @torch.no_grad()
 def imitation_pairs(model: SemanticController, data: TensorDictBase, horizons: Sequence[int]) -> TensorDict:
     """Embeddings with true state and expert's command, received (horizon 0) and predicted that many slots ahead.
 
-    Without the predicted ones the actor meets them first in the loop (paper-notes, decision 3b).
+    An actor that is not trained on predicted ones meets them first in the loop.
 
     Args:
         model: source of the predictor.
-        data: [episodes, slots] with ``embedding``, ``action``, ``expert_action``, ``state``.
+        data: [episodes, slots] with ``embedding``, ``action``, and what there is of ``expert_action``, ``state``,
+            ``reference``.
         horizons: in slots; one listed twice counts twice.
 
     Returns:
-        [pairs] with ``embedding``, ``expert_action``, ``state``.
+        [pairs] with ``embedding`` and the truth at its slot.
 
     Raises:
         ValueError: a horizon is as long as the trajectories.
@@ -41,22 +46,23 @@ def imitation_pairs(model: SemanticController, data: TensorDictBase, horizons: S
     for ahead in range(max(horizons) + 1):
         if ahead:
             predicted = model.predictor(predicted[:, : slots - ahead], data["action"][:, ahead - 1 : slots - 1])
-        truth = data.select("expert_action", "state")[:, ahead:]
+        truth = data.exclude("embedding")[:, ahead:]
         pairs = TensorDict({"embedding": predicted, **truth}, batch_size=truth.batch_size).flatten(0, 1)
         parts += [pairs] * list(horizons).count(ahead)
     return torch.cat(parts)
 
 
 class SemanticActor(lightning.LightningModule):
-    """Fits the actor to the expert's command; encoder and predictor stay frozen.
+    """Fits the actor to the expert's command, or to the recorded one; encoder and predictor stay frozen.
 
     Args:
-        pretrained: zoo entry (name or folder) whose encoder and predictor are used; its actor and probe are replaced.
+        pretrained: zoo entry (name or folder) whose encoder and predictor are used; its other parts are replaced.
         hidden_dims: widths of the actor's hidden layers.
         dropout: of the actor.
         learning_rate: peak; warm-up and cosine decay as in TS-JEPA.
         weight_decay: of AdamW.
-        seed: seed of the dropout's stream.
+        set_points: give the actor the plant's set-points beside the embedding. Every step draws new ones for the
+            recorded states, and the plant's expert says what to do.
     """
 
     def __init__(
@@ -66,16 +72,23 @@ class SemanticActor(lightning.LightningModule):
         dropout: float = 0.2,
         learning_rate: float = 6e-3,
         weight_decay: float = 1e-4,
-        seed: int = 0,
+        set_points: bool = False,
     ) -> None:
         super().__init__()
-        self.learning_rate, self.weight_decay, self.seed = learning_rate, weight_decay, seed
+        self.learning_rate, self.weight_decay = learning_rate, weight_decay
         frozen = entries.load(pretrained)
-        self.model = SemanticController(replace(frozen.architecture, actor_hidden_dims=tuple(hidden_dims)), dropout)
-        self.model.encoder.load_state_dict(frozen.encoder.state_dict())
-        self.model.predictor.load_state_dict(frozen.predictor.state_dict())
+        metadata = {"spec": frozen.spec.to_dict(), "plant": frozen.plant}
+        self.model = new_controller(
+            frozen.encoder, frozen.predictor, metadata, frozen.frame_spacing, hidden_dims, dropout, set_points
+        )
         self.model.encoder.requires_grad_(False)
         self.model.predictor.requires_grad_(False)
+        self.set_points = set_points
+
+    def setup(self, stage: str) -> None:
+        if self.set_points:
+            self.plant = build_plant(self.model.plant)
+            self.expert = (next(iter(self.plant.experts().values())),)  # a tuple: no part of the checkpoint
 
     def train(self, mode: bool = True) -> SemanticActor:
         super().train(mode)
@@ -87,12 +100,28 @@ class SemanticActor(lightning.LightningModule):
         return self.model
 
     def training_step(self, batch: TensorDictBase, batch_index: int) -> Tensor:
-        # dropout draws from the global stream: seeding it by step makes a resumed run repeat the interrupted one
-        torch.manual_seed(self.seed * 1_000_003 + self.global_step)
-        command = self.model.actor.unclipped(batch["embedding"])
-        imitation = ((command - batch["expert_action"]) / COMMAND_LIMIT).square().mean()
+        reference, wanted = self.task(batch)
+        devices = [self.device] if self.device.type == "cuda" else []
+        # torch's dropout knows only the global stream; seeded by step, a resumed run repeats the interrupted one.
+        # Commands are wanted finer than bfloat16 has them, and the actor is small: float32 whatever the trainer does.
+        with torch.random.fork_rng(devices), torch.autocast(self.device.type, enabled=False):
+            torch.manual_seed(self.stream("dropout"))
+            command = self.model.actor.unclipped(batch["embedding"], reference)
+        imitation = squared_command_error(command, wanted, self.model.spec)
         self.log("imitation_loss", imitation, prog_bar=True)
         return imitation
+
+    def stream(self, purpose: str) -> int:
+        """Seed of a stream of this step and process."""
+        return derive(run_seed(), purpose, self.global_step, rank_and_world_size()[0])
+
+    def task(self, batch: TensorDictBase) -> tuple[Tensor | None, Tensor]:
+        """Set-points [N, r], drawn anew, and the expert's commands [N, m] for them; else the recorded commands."""
+        if not self.set_points:
+            return None, commands_to_imitate(batch)
+        generator = torch.Generator().manual_seed(self.stream("set-points"))
+        reference = self.plant.goals(len(batch), 1, generator)[:, 0].to(batch["state"])
+        return reference, self.expert[0].to(self.device)(batch["state"], reference)
 
     def validation_step(self, batch: TensorDictBase, batch_index: int) -> None:
         self.log_errors("val", batch)
@@ -101,13 +130,15 @@ class SemanticActor(lightning.LightningModule):
         self.log_errors("test", batch)
 
     def log_errors(self, stage: str, batch: TensorDictBase) -> None:
-        """Logs the mean command error over 40 N on rows of embeddings."""
-        error = (self.model.act(batch["embedding"]) - batch["expert_action"]).abs().mean()
-        self.log(f"{stage}/command_nmae", error / (2 * COMMAND_LIMIT), prog_bar=True)
+        """Logs the mean command error over the actuator's range on rows of embeddings, at the data's own set-points."""
+        command = self.model.act(batch["embedding"], batch.get("reference", None))
+        error = command_nmae(command, commands_to_imitate(batch), self.model.spec)
+        self.log(f"{stage}/command_nmae", error, prog_bar=True)
 
     def predict_step(self, batch: TensorDictBase, batch_index: int) -> TensorDict:
         """The actor's ``command`` beside the rows it was made from."""
-        return batch.clone(recurse=False).set("command", self.model.act(batch["embedding"]))
+        command = self.model.act(batch["embedding"], batch.get("reference", None))
+        return batch.clone(recurse=False).set("command", command)
 
     def configure_optimizers(self):
         optimizer = torch.optim.AdamW(self.model.actor.parameters(), self.learning_rate, weight_decay=self.weight_decay)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from contextlib import nullcontext
 
 import lightning
 import torch
@@ -11,13 +11,17 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
 from tsjepa.models import Encoder
-from tsjepa.models.autoencoder import AutoencoderArchitecture, AutoencoderController
+from tsjepa.models.autoencoder import AutoencoderController, StateEstimator
 from tsjepa.models.decoder import Decoder
 from tsjepa.models.encoder import patchify
+from tsjepa.plants import build_plant
+from tsjepa.support.seeds import derive, run_seed
 from tsjepa.training.embeddings import embed_split
+from tsjepa.training.finish.callback import Finish
 from tsjepa.training.finish.decoder import look_around, reconstruction_loss
-from tsjepa.training.finish.minimize import FORWARD_DTYPE, minimize
+from tsjepa.training.finish.minimize import ForwardContext, minimize
 from tsjepa.training.schedule import warmup_cosine_schedule
+from tsjepa.training.statistics import mean_and_std
 
 
 class Autoencoder(lightning.LightningModule):
@@ -33,6 +37,7 @@ class Autoencoder(lightning.LightningModule):
         contrast_floor: least unit of a pixel's error, of 255; see :func:`look_around`.
         motion_weight: of the error in what moves between the frames (see :func:`reconstruction_loss`) at the end; it
             rises from 0 with the steps, because motion can only be drawn where it is known what stands there.
+        estimator_channels: see :class:`StateEstimator`.
 
     Raises:
         ValueError: encoder and decoder do not fit together.
@@ -46,6 +51,7 @@ class Autoencoder(lightning.LightningModule):
         weight_decay: float = 1e-4,
         contrast_floor: float = 10.0,
         motion_weight: float = 40.0,
+        estimator_channels: tuple[int, int, int] = (32, 64, 64),
     ) -> None:
         super().__init__()
         sizes = (encoder.embedding_dim, encoder.frame_shape[0])
@@ -56,27 +62,24 @@ class Autoencoder(lightning.LightningModule):
             )
         self.learning_rate, self.weight_decay = learning_rate, weight_decay
         self.contrast_floor, self.motion_weight = contrast_floor, motion_weight
-        self.model = AutoencoderController(
-            AutoencoderArchitecture(
-                frame_stack=encoder.frame_shape[0],
-                widths=encoder.widths,
-                embedding_dim=encoder.embedding_dim,
-                decoder_channels=decoder.channels,
-            )
-        )
-        self.model.encoder, self.model.decoder = encoder, decoder
+        self.encoder, self.decoder, self.estimator_channels = encoder, decoder, estimator_channels
+        self.model: AutoencoderController | None = None
 
     def setup(self, stage: str) -> None:
-        from tsjepa.plants.expert import Expert
-
-        data = self.trainer.datamodule
-        interval = data.metadata["sampling_interval"]
-        self.model.architecture = replace(
-            self.model.architecture, frame_spacing=data.frame_spacing, sampling_interval=interval
-        )
-        expert = Expert(interval)
-        self.model.law.gain.copy_(expert.gain)
-        self.model.law.position_clip.fill_(expert.position_clip)
+        if self.model is not None:
+            return
+        data, stack = self.trainer.datamodule, self.encoder.frame_shape[0]
+        if not data.metadata.get("plant"):
+            raise ValueError(
+                "An autoencoder's controller applies a plant's expert to the state that it estimates, and this data "
+                "set is of no plant: train TS-JEPA or the supervised controller on recordings."
+            )
+        with torch.random.fork_rng([]):
+            torch.manual_seed(derive(run_seed(), "controller"))
+            estimator = StateEstimator(data.spec.state_dim, stack, self.estimator_channels, *data.spec.frame)
+        law = next(iter(build_plant(data.metadata["plant"]).experts().values()))
+        self.model = AutoencoderController(self.encoder, self.decoder, estimator, law, data.frame_spacing, data.spec)
+        self.model.plant = data.metadata["plant"]
 
     def on_fit_start(self) -> None:
         frames = torch.from_numpy(self.trainer.datamodule.split("train")["pixels"].numpy()).flatten(0, 1)
@@ -138,6 +141,7 @@ def fit_estimator(
     learning_rate: float = 3e-3,
     weight_decay: float = 1e-2,
     seed: int = 0,
+    forward_context: ForwardContext = nullcontext,
 ) -> None:
     """Trains the state estimator in place, each component of the state over its standard deviation.
 
@@ -146,18 +150,20 @@ def fit_estimator(
     Args:
         model: of which only the estimator changes; left in evaluation mode.
         embedding: [N, d].
-        state: [N, 4].
+        state: [N, n].
         steps, batch_size, learning_rate, weight_decay: of AdamW with warm-up and cosine decay.
         seed: seed of the batches.
+        forward_context: the precision of decoder and estimator.
     """
     estimator, device = model.estimator, embedding.device
-    estimator.state_mean.copy_(state.mean(0))
-    estimator.state_std.copy_(state.std(0))
+    mean, std = mean_and_std(state)
+    estimator.state_mean.copy_(mean)
+    estimator.state_std.copy_(std)
     generator = torch.Generator().manual_seed(seed)
 
     def loss() -> Tensor:
         rows = torch.randint(len(embedding), (batch_size,), generator=generator).to(device)
-        with torch.autocast(device.type, FORWARD_DTYPE):
+        with forward_context():
             with torch.no_grad():
                 drawn = model.decoder.draw(embedding[rows])
             estimated = estimator(drawn)
@@ -169,7 +175,7 @@ def fit_estimator(
     estimator.eval()
 
 
-class FitEstimator(lightning.Callback):
+class FitEstimator(Finish):
     """Runs :func:`fit_estimator` when the fit ends. List it before the export.
 
     Args:
@@ -189,14 +195,18 @@ class FitEstimator(lightning.Callback):
         self.steps, self.batch_size, self.splits = steps, batch_size, tuple(splits)
         self.learning_rate, self.weight_decay = learning_rate, weight_decay
 
-    def on_fit_end(self, trainer: lightning.Trainer, module: Autoencoder) -> None:
-        if not trainer.is_global_zero:
-            return
+    def finish(self, trainer: lightning.Trainer, module: Autoencoder) -> None:
         model, data = module.controller(), trainer.datamodule
-        # Lightning has already moved everything back to the CPU
-        model.to(trainer.strategy.root_device)
         splits = [embed_split(model.encoder, data.split(name), data.frame_spacing) for name in self.splits]
         rows = torch.cat([split.flatten(0, 1) for split in splits])
-        options = (self.steps, self.batch_size, self.learning_rate, self.weight_decay)
-        fit_estimator(model, rows["embedding"], rows["state"], *options)
-        model.cpu()
+        fit_estimator(
+            model,
+            rows["embedding"],
+            rows["state"],
+            self.steps,
+            self.batch_size,
+            self.learning_rate,
+            self.weight_decay,
+            derive(run_seed(), "estimator"),
+            trainer.precision_plugin.forward_context,
+        )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 
 import lightning
@@ -10,7 +11,9 @@ import torch
 from tensordict import TensorDictBase
 
 from tsjepa.models import entries
-from tsjepa.support.provenance import provenance
+from tsjepa.support.precision import memory_format_of
+from tsjepa.support.provenance import machine, provenance
+from tsjepa.training.finish.callback import Finish
 
 
 class StopWhenNotFinite(lightning.Callback):
@@ -47,42 +50,61 @@ class StopWhenNotFinite(lightning.Callback):
         )
 
 
+class Pace(lightning.Callback):
+    """Says once, after its first steps, how long the fit will take. Every ``tsjepa fit`` has it.
+
+    The first ``SKIPPED`` steps compile kernels and fill caches; the next ``TIMED`` ones count.
+    """
+
+    SKIPPED, TIMED = 5, 20
+
+    def on_train_start(self, trainer: lightning.Trainer, module: lightning.LightningModule) -> None:
+        self.steps = 0
+
+    def on_train_batch_end(self, trainer: lightning.Trainer, module, outputs, batch, batch_idx: int) -> None:
+        self.steps += 1
+        if self.steps == self.SKIPPED:
+            self.began = time.monotonic()
+        if self.steps == self.SKIPPED + self.TIMED:
+            seconds = (time.monotonic() - self.began) / self.TIMED
+            finishes = [type(callback).__name__ for callback in trainer.callbacks if isinstance(callback, Finish)]
+            left = trainer.estimated_stepping_batches - trainer.global_step
+            trainer.print(f"This fit: {pace(seconds, left)}" + (f", then {', '.join(finishes)}." if finishes else "."))
+
+
+def pace(seconds: float, left: float) -> str:
+    """``seconds`` a step, and how long ``left`` more will take (infinitely many in a fit without an end)."""
+    total = seconds * left
+    if total == float("inf"):
+        return f"{seconds:.2g} s a step"
+    about = f"{total:.0f} s" if total < 90 else f"{total / 60:.0f} min" if total < 5400 else f"{total / 3600:.1f} h"
+    return f"{seconds:.2g} s a step, about {about} left for {left:.0f} steps"
+
+
 class ExportModel(lightning.Callback):
     """Writes the module's controller as a zoo entry when the fit ends, so that a run's result loads like any other.
 
-    Args:
-        folder: of the entry; ``tsjepa.load`` takes it.
+    Every ``tsjepa fit`` has it. The entry is the folder "model" in the trainer's default_root_dir.
     """
-
-    def __init__(self, folder: str) -> None:
-        self.folder = Path(folder)
 
     def on_fit_end(self, trainer: lightning.Trainer, module: lightning.LightningModule) -> None:
         if trainer.is_global_zero:
             values = {name: float(value) for name, value in trainer.callback_metrics.items()}
-            metrics = {"made_by": provenance(), **values}
-            with torch.random.fork_rng():
-                # so that parts which this fit does not train come out alike in a resumed one
-                torch.manual_seed(0)
-                model = module.controller()
-            entries.save(model, self.folder, metrics)
-            print(f"Model written to {self.folder}.")
+            used = {"precision": trainer.precision, "memory_format": memory_format_of(module)}
+            metrics = {"made_by": provenance(), "machine": machine() | used, **values}
+            folder = Path(trainer.default_root_dir) / "model"
+            entries.save(module.controller(), folder, metrics)
+            print(f"Model written to {folder}.")
 
 
 class WritePredictions(lightning.Callback):
-    """Writes what ``tsjepa predict`` makes of the test split as named NumPy arrays.
-
-    Args:
-        path: of the ``.npz`` file.
-    """
-
-    def __init__(self, path: str) -> None:
-        self.path = Path(path)
+    """Writes what ``tsjepa predict`` makes of the test split as named arrays: predictions.npz in default_root_dir."""
 
     def on_predict_batch_end(
         self, trainer, module, outputs: TensorDictBase, batch, batch_idx: int, dataloader_idx: int = 0
     ) -> None:
-        self.path.parent.mkdir(parents=True, exist_ok=True)
+        path = Path(trainer.default_root_dir) / "predictions.npz"
+        path.parent.mkdir(parents=True, exist_ok=True)
         # NumPy has no bfloat16, in which mixed precision answers
-        np.savez(self.path, **{name: tensor.float().cpu().numpy() for name, tensor in outputs.items()})
-        print(f"Predictions ({', '.join(sorted(outputs.keys()))}) written to {self.path}.")
+        np.savez(path, **{name: tensor.float().cpu().numpy() for name, tensor in outputs.items()})
+        print(f"Predictions ({', '.join(sorted(outputs.keys()))}) written to {path}.")

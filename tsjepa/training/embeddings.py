@@ -1,26 +1,40 @@
-"""Embeds whole trajectories with a frozen encoder, for probes, actors and metrics."""
+"""Embeds pictures for training and whole trajectories for what is fitted on a frozen encoder."""
 
 from __future__ import annotations
 
 import torch
 from tensordict import TensorDict, TensorDictBase
+from torch import Tensor, nn
 
-from tsjepa.models import Encoder
+from tsjepa.models.encoder import PIXEL_MEAN, PIXEL_STD, unpatchify
+
+CARRIED = ("state", "action", "expert_action", "reference")  # beside the embeddings, where a split has them
+
+
+def embed_patches(encoder: nn.Module, patches: Tensor) -> Tensor:
+    """Embeddings [N, d] of augmented, normalised patches [N, H / 4, W / 4, 48 * frame_stack].
+
+    An encoder without ``embed`` gets the pictures as it gets them in use: uint8 [N, frame_stack, H, W, 3].
+    """
+    if hasattr(encoder, "embed"):
+        return encoder.embed(patches)
+    frames = unpatchify(patches.float())
+    mean, std = (torch.tensor(values, device=frames.device) for values in (PIXEL_MEAN, PIXEL_STD))
+    return encoder(((frames * std + mean) * 255).round().clamp(0, 255).to(torch.uint8)).float()
 
 
 @torch.no_grad()
-def embed_split(encoder: Encoder, split: TensorDictBase, frame_spacing: int, batch: int = 256) -> TensorDict:
+def embed_split(encoder: nn.Module, split: TensorDictBase, frame_spacing: int, batch: int = 256) -> TensorDict:
     """Embeds every slot of a split that has a whole stack behind it.
 
     Args:
         encoder: put into evaluation mode for the time of the call.
-        split: [episodes, T + 1] with ``pixels``, ``state``, ``action``, ``expert_action``.
+        split: [episodes, T + 1] with ``pixels``, and what it has of :data:`CARRIED`.
         frame_spacing: slots between the frames of a stack.
         batch: stacks per forward pass.
 
     Returns:
-        [episodes, T + 1 - first] with ``embedding`` [d], ``state``, ``action``, ``expert_action``, on the encoder's
-        device.
+        [episodes, T + 1 - first] with ``embedding`` [d] and what was carried, on the encoder's device.
     """
     device = next(encoder.parameters()).device
     stack = encoder.frame_shape[0]
@@ -31,8 +45,13 @@ def embed_split(encoder: Encoder, split: TensorDictBase, frame_spacing: int, bat
     offsets = frame_spacing * torch.arange(1 - stack, 1)
     was_training = encoder.training
     encoder.eval()
-    parts = [encoder(pixels[rows[:, None] + offsets].to(device)) for rows in newest.split(batch)]
+    parts = [encoder(pixels[rows[:, None] + offsets].to(device)).float() for rows in newest.split(batch)]
     encoder.train(was_training)
     embedding = torch.cat(parts).unflatten(0, (episodes, frames - first))
-    rest = split.select("state", "action", "expert_action")[:, first:].to(device)
+    rest = split.select(*CARRIED, strict=False)[:, first:].to(device)
     return TensorDict({"embedding": embedding, **rest}, batch_size=[episodes, frames - first], device=device)
+
+
+def commands_to_imitate(rows: TensorDictBase) -> Tensor:
+    """The expert's commands [..., m], or those that were recorded where no expert labelled them."""
+    return rows.get("expert_action", rows["action"])

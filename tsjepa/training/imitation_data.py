@@ -9,15 +9,29 @@ from tensordict import TensorDict
 from torch.utils.data import DataLoader, Sampler
 
 from tsjepa.data.module import Trajectories, as_is
+from tsjepa.support.seeds import derive, run_seed
 from tsjepa.training.actor import imitation_pairs
 from tsjepa.training.embeddings import embed_split
 
 
 class RowSampler(Sampler):
-    """Batches of shuffled row numbers, drawn from (seed, epoch) so that a resumed run repeats them."""
+    """Batches of shuffled row numbers, drawn from (seed, epoch) so that a resumed run repeats them.
 
-    def __init__(self, rows: int, batch: int, seed: int) -> None:
+    Args:
+        rows: how many there are.
+        batch: rows a step, over all processes; rows that do not fill the last batch wait for another epoch.
+        seed: of the run; the rows have a stream of their own in it.
+        rank, world_size: this process among all, each of which takes its share of every batch.
+
+    Raises:
+        ValueError: the rows of a batch do not divide among the processes.
+    """
+
+    def __init__(self, rows: int, batch: int, seed: int, rank: int = 0, world_size: int = 1) -> None:
+        if batch % world_size:
+            raise ValueError(f"batch_size = {batch} does not divide among {world_size} processes.")
         self.rows, self.batch, self.seed, self.epoch = rows, batch, seed, 0
+        self.rank, self.world_size = rank, world_size
 
     def set_epoch(self, epoch: int) -> None:
         """Called by Lightning at the start of every epoch."""
@@ -27,10 +41,11 @@ class RowSampler(Sampler):
         return self.rows // self.batch
 
     def __iter__(self) -> Iterator[torch.Tensor]:
-        generator = torch.Generator().manual_seed(self.seed * 1_000_003 + self.epoch)
+        generator = torch.Generator().manual_seed(derive(self.seed, "actor rows", self.epoch))
         order = torch.randperm(self.rows, generator=generator)
         # not before the first batch is asked for: a resumed fit makes its iterator before it sets the epoch
-        yield from order[: len(self) * self.batch].split(self.batch)
+        for batch in order[: len(self) * self.batch].split(self.batch):
+            yield batch[self.rank :: self.world_size]
 
 
 class TensorRows:
@@ -47,46 +62,49 @@ class ImitationPairs(Trajectories):
     """Pairs of embedding and expert's command, made once with the model that is being trained.
 
     Args:
-        path, collect, seed: see :class:`Trajectories`.
+        path, collect, episodes: see :class:`Trajectories`.
         batch_size: pairs per step (200 in the paper).
         horizons: slots ahead at which embeddings are predicted; 0 is received, and one listed twice counts twice.
         splits: of the data set that the actor learns from.
+        validation, test: splits on which its command error is measured.
     """
 
     def __init__(
         self,
-        path: str = "data/cartpole-20ms",
-        collect: str = "recipes/data.yaml",
+        path: str,
+        collect: str | Sequence[str] | None = None,
         batch_size: int = 200,
         horizons: Sequence[int] = (0,),
         splits: Sequence[str] = ("actor_train",),
-        seed: int = 0,
+        validation: str = "validation",
+        test: str = "actor_test",
+        episodes: int | None = None,
     ) -> None:
-        super().__init__(path, collect, seed=seed)
+        super().__init__(path, collect, episodes=episodes)
+        self.validation, self.test = validation, test
         self.batch_size, self.horizons, self.splits = batch_size, tuple(horizons), tuple(splits)
 
     def setup(self, stage: str | None = None) -> None:
         super().setup(stage)
-        model = self.trainer.lightning_module.model
+        # Lightning moves the module after this
+        model = self.trainer.lightning_module.model.to(self.trainer.strategy.root_device)
         spacing = model.frame_spacing
         train = torch.cat([embed_split(model.encoder, self.split(name), spacing) for name in self.splits])
         self.pairs = imitation_pairs(model, train, self.horizons)
-        state = train["state"].flatten(0, 1)
-        model.probe.state_mean.copy_(state.mean(0))
-        model.probe.state_std.copy_(state.std(0))
         self.held_out = {
             name: embed_split(model.encoder, self.split(name), spacing).flatten(0, 1)
-            for name in ("validation", "actor_test")
+            for name in {self.validation, self.test}
         }
 
     def train_dataloader(self) -> DataLoader:
-        sampler = RowSampler(len(self.pairs), self.batch_size, self.seed)
+        rank, world_size = self.trainer.global_rank, self.trainer.world_size
+        sampler = RowSampler(len(self.pairs), self.batch_size, run_seed(), rank, world_size)
         return DataLoader(TensorRows(self.pairs), sampler=sampler, batch_size=None, collate_fn=as_is)
 
     def val_dataloader(self) -> DataLoader:
-        return DataLoader([self.held_out["validation"]], batch_size=None, collate_fn=as_is)
+        return DataLoader([self.held_out[self.validation]], batch_size=None, collate_fn=as_is)
 
     def test_dataloader(self) -> DataLoader:
-        return DataLoader([self.held_out["actor_test"]], batch_size=None, collate_fn=as_is)
+        return DataLoader([self.held_out[self.test]], batch_size=None, collate_fn=as_is)
 
     predict_dataloader = test_dataloader

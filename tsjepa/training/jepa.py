@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import lightning
 import torch
 from lightning.pytorch.cli import LRSchedulerCallable, OptimizerCallable
 from tensordict import TensorDict, TensorDictBase
-from torch import Tensor
+from torch import Tensor, nn
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from tsjepa.data.augmentation import Augmentation
-from tsjepa.models import Architecture, Encoder, Predictor, SemanticController
+from tsjepa.models import Predictor, SemanticController
 from tsjepa.support.checks import within
 from tsjepa.support.parallel import gather
-from tsjepa.training.embeddings import embed_split
-from tsjepa.training.losses import InverseDynamics, cosine_loss, covariance_loss, variance_loss
+from tsjepa.support.seeds import derive, run_seed
+from tsjepa.training.controllers import new_controller
+from tsjepa.training.embeddings import embed_patches, embed_split
+from tsjepa.training.losses import InverseDynamics, LossTerm, cosine_loss, covariance_loss, variance_loss
 from tsjepa.training.pretrained import start_from
 from tsjepa.training.schedule import warmup_cosine_schedule
+from tsjepa.training.statistics import mean_and_std
 
 
 class TSJEPA(lightning.LightningModule):
@@ -26,7 +31,8 @@ class TSJEPA(lightning.LightningModule):
     for every later frame and as target for every earlier one.
 
     Args:
-        encoder: the context encoder.
+        encoder: the context encoder, any module from frames uint8 [N, frame_stack, H, W, 3] to embeddings [N, d] with
+            ``frame_shape`` (frame_stack, H, W, 3) and ``embedding_dim``.
         predictor: one step of embedding dynamics.
         augmentation: applied to every window with its own draw.
         optimizer: from parameters to optimizer.
@@ -37,12 +43,12 @@ class TSJEPA(lightning.LightningModule):
         covariance_weight: weight of the covariance term (0 in the paper).
         inverse_weight: weight of the inverse-dynamics term (0 in the paper).
         pretrained: zoo entry (name or folder) to start from, as far as sizes agree.
-        seed: seed of the augmentation's own stream.
+        terms: of one's own, added to the loss.
     """
 
     def __init__(
         self,
-        encoder: Encoder,
+        encoder: nn.Module,
         predictor: Predictor,
         augmentation: Augmentation,
         optimizer: OptimizerCallable = torch.optim.AdamW,
@@ -52,29 +58,36 @@ class TSJEPA(lightning.LightningModule):
         covariance_weight: float = 0.01,
         inverse_weight: float = 1.0,
         pretrained: str | None = None,
-        seed: int = 0,
+        terms: Sequence[LossTerm] = (),
     ) -> None:
         super().__init__()
         within(0, 1, ema_decay=ema_decay)
-        if predictor.output.out_features != encoder.embedding_dim:
+        if predictor.embedding_dim != encoder.embedding_dim:
             raise ValueError(
                 f"The encoder's embedding_dim is {encoder.embedding_dim}, the predictor's is "
-                f"{predictor.output.out_features}: make them equal."
+                f"{predictor.embedding_dim}: make them equal."
             )
         if pretrained is not None:
             start_from(pretrained, encoder=encoder, predictor=predictor)
         self.encoder, self.predictor, self.augmentation = encoder, predictor, augmentation
         self.target_encoder = AveragedModel(encoder, multi_avg_fn=get_ema_multi_avg_fn(ema_decay), use_buffers=True)
         self.target_encoder.requires_grad_(False)
-        self.inverse_dynamics = InverseDynamics(encoder.embedding_dim)
+        # only where the loss has it: data parallelism waits for the gradient of every parameter
+        self.inverse_dynamics = InverseDynamics(encoder.embedding_dim, predictor.action_dim) if inverse_weight else None
         self.optimizer, self.scheduler = optimizer, scheduler
         self.variance_weight, self.covariance_weight = variance_weight, covariance_weight
-        self.inverse_weight, self.seed = inverse_weight, seed
+        self.inverse_weight, self.terms = inverse_weight, tuple(terms)
 
     def train(self, mode: bool = True) -> TSJEPA:
         super().train(mode)
         self.target_encoder.eval()
         return self
+
+    def setup(self, stage: str) -> None:
+        data = self.trainer.datamodule
+        controller = new_controller(self.encoder, self.predictor, data.metadata, data.frame_spacing)
+        # in a tuple, so that its other parts are no parameters of this module: neither optimized nor in checkpoints
+        self.untrained = (controller,)
 
     def on_fit_start(self) -> None:
         data = self.trainer.datamodule
@@ -83,18 +96,19 @@ class TSJEPA(lightning.LightningModule):
                 f"The data's windows have {data.stacks} stacks of {data.frame_stack} frames; TS-JEPA needs at least 2 "
                 f"stacks, and its encoder takes {self.encoder.frame_shape[0]} frames."
             )
-        commands = data.split("train")["action"][:, :-1]
-        self.predictor.command_mean.copy_(commands.mean())
-        self.predictor.command_std.copy_(commands.std())
+        mean, std = mean_and_std(data.split(data.splits[0])["action"][:, :-1].flatten(0, 1))
+        self.predictor.command_mean.copy_(mean)
+        self.predictor.command_std.copy_(std)
 
     def training_step(self, batch: TensorDictBase, batch_index: int) -> Tensor:
         commands = batch["commands"]
         windows, stacks = batch["patches"].shape[:2]
-        generator = torch.Generator().manual_seed(self.seed * 1_000_003 + self.global_step)
-        patches = self.augmentation(batch["patches"].flatten(0, 1), generator, shared=stacks)
-        embedding = self.encoder.embed(patches).unflatten(0, (windows, stacks))
+        generator = torch.Generator().manual_seed(derive(run_seed(), "augmentation", self.global_step))
+        mix = getattr(self.encoder, "color_mix", None)
+        patches = self.augmentation(batch["patches"].flatten(0, 1), generator, stacks, mix)
+        embedding = embed_patches(self.encoder, patches).unflatten(0, (windows, stacks))
         with torch.no_grad():
-            target = self.target_encoder.module.embed(patches).unflatten(0, (windows, stacks))
+            target = embed_patches(self.target_encoder.module, patches).unflatten(0, (windows, stacks))
         gap = commands.shape[1] // (stacks - 1)
         terms = {"prediction_loss": self.prediction_loss(embedding, target, commands, gap)}
         loss = terms["prediction_loss"]
@@ -108,6 +122,10 @@ class TSJEPA(lightning.LightningModule):
         if self.inverse_weight:
             terms["inverse_loss"] = self.inverse_loss(embedding, commands, gap)
             loss = loss + self.inverse_weight * terms["inverse_loss"]
+        for term in self.terms:
+            value = term.function(embedding, target, commands.unflatten(1, (stacks - 1, gap)))
+            terms[getattr(term.function, "__name__", "own_term")] = value
+            loss = loss + term.weight * value
         self.log_terms(terms, loss)
         return loss
 
@@ -123,7 +141,7 @@ class TSJEPA(lightning.LightningModule):
 
         Args:
             embedding, target: [B, W, d].
-            commands: [B, gap * (W - 1), 1].
+            commands: [B, gap * (W - 1), m].
             gap: slots between neighbouring stacks.
         """
         stacks = embedding.shape[1]
@@ -146,22 +164,8 @@ class TSJEPA(lightning.LightningModule):
         self.target_encoder.update_parameters(self.encoder)
 
     def controller(self) -> SemanticController:
-        """Encoder and predictor as a controller whose actor and probe are yet to be trained."""
-        data = self.trainer.datamodule
-        model = SemanticController(
-            Architecture(
-                frame_stack=self.encoder.frame_shape[0],
-                frame_spacing=data.frame_spacing,
-                widths=self.encoder.widths,
-                embedding_dim=self.encoder.embedding_dim,
-                predictor_hidden_dim=self.predictor.hidden.out_features,
-                predictor_residual=self.predictor.residual,
-                sampling_interval=data.metadata["sampling_interval"],
-            )
-        )
-        model.encoder.load_state_dict(self.encoder.state_dict())
-        model.predictor.load_state_dict(self.predictor.state_dict())
-        return model
+        """Encoder and predictor as a controller; actor, probe and decoder are yet to be trained."""
+        return self.untrained[0]
 
     def validation_step(self, batch: TensorDictBase, batch_index: int) -> None:
         """Nothing: metrics are the callback's (:class:`tsjepa.training.monitor.RepresentationMonitor`)."""

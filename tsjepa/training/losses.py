@@ -2,9 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
+
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
+
+
+@dataclass
+class LossTerm:
+    """A term that a recipe adds to TS-JEPA's loss.
+
+    Args:
+        function: from the context embeddings [B, W, d], the target embeddings [B, W, d] and the commands between them
+            [B, W - 1, gap, m] to a scalar; named by its import path.
+        weight: by which it is multiplied.
+    """
+
+    function: Callable[[Tensor, Tensor, Tensor], Tensor]
+    weight: float = 1.0
 
 
 def cosine_loss(prediction: Tensor, target: Tensor) -> Tensor:
@@ -33,15 +50,18 @@ class InverseDynamics(nn.Module):
 
     Args:
         embedding_dim: d.
+        action_dim: m.
         hidden_dim: width of the hidden layer.
     """
 
-    def __init__(self, embedding_dim: int, hidden_dim: int = 256) -> None:
+    def __init__(self, embedding_dim: int, action_dim: int = 1, hidden_dim: int = 256) -> None:
         super().__init__()
         self.scale = embedding_dim**0.5
-        self.layers = nn.Sequential(nn.Linear(2 * embedding_dim + 1, hidden_dim), nn.ReLU(), nn.Linear(hidden_dim, 1))
+        self.layers = nn.Sequential(
+            nn.Linear(2 * embedding_dim + 1, hidden_dim), nn.ReLU(), nn.Linear(hidden_dim, action_dim)
+        )
 
     def forward(self, before: Tensor, after: Tensor, gap: int) -> Tensor:
-        """Mean z-scored command [..., 1] over the ``gap`` slots between ``before`` and ``after`` [..., d]."""
+        """Mean z-scored command [..., m] over the ``gap`` slots between ``before`` and ``after`` [..., d]."""
         gaps = torch.full_like(before[..., :1], gap / 4)
         return self.layers(torch.cat((before * self.scale, (after - before) * self.scale, gaps), dim=-1)).float()

@@ -9,10 +9,10 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from tsjepa.models.predictor import rollout
+from tsjepa.support.spec import PlantSpec
 from tsjepa.training.embeddings import embed_split
 
 SKILL_HORIZONS = (1, 5, 10, 25, 50)
-STATE_NAMES = ("x", "theta", "x_dot", "theta_dot")
 
 
 class CollapseError(RuntimeError):
@@ -26,10 +26,13 @@ def effective_rank(embedding: Tensor) -> Tensor:
     return torch.exp(-(share * share.clamp_min(1e-12).log()).sum())
 
 
-def action_sensitivity(predictor: nn.Module, embedding: Tensor, command: float = 20.0) -> Tensor:
-    """Mean cosine between the predictions under +``command`` and -``command`` newtons; 1 means commands are ignored."""
-    force = torch.full_like(embedding[..., :1], command)
-    return F.cosine_similarity(predictor(embedding, force), predictor(embedding, -force), dim=-1).mean()
+def action_sensitivity(predictor: nn.Module, embedding: Tensor, spec: PlantSpec) -> Tensor:
+    """Mean cosine between the predictions under the lowest and the highest commands; 1 means commands are ignored."""
+    low, high = (
+        predictor(embedding, embedding.new_tensor(command).expand(*embedding.shape[:-1], -1))
+        for command in (spec.action_low, spec.action_high)
+    )
+    return F.cosine_similarity(low, high, dim=-1).mean()
 
 
 def prediction_skill(
@@ -39,7 +42,7 @@ def prediction_skill(
 
     Args:
         embedding: [episodes, slots, d].
-        action: [episodes, slots, 1] in newtons.
+        action: [episodes, slots, m].
         horizons: in slots; those longer than the trajectories are left out.
     """
     horizons = tuple(horizon for horizon in horizons if horizon < embedding.shape[1])
@@ -55,7 +58,13 @@ def prediction_skill(
 
 
 def linear_probe_rmse(embedding: Tensor, state: Tensor, ridge: float = 1e-3) -> Tensor:
-    """RMSE [4] of ridge regression from embedding to state, fitted on even trajectories and measured on odd ones."""
+    """RMSE [n] of ridge regression from embedding to state, fitted on even trajectories and measured on odd ones.
+
+    A single trajectory is cut in the middle: fitted on its first half, measured on its second.
+    """
+    if len(embedding) == 1:
+        half = embedding.shape[1] // 2
+        embedding, state = (torch.stack((part[0, :half], part[0, -half:])) for part in (embedding, state))
 
     def features(part: Tensor) -> Tensor:
         flat = part.flatten(0, 1) * part.shape[-1] ** 0.5
@@ -69,8 +78,13 @@ def linear_probe_rmse(embedding: Tensor, state: Tensor, ridge: float = 1e-3) -> 
 
 
 @torch.no_grad()
-def representation_metrics(encoder, predictor, split: TensorDictBase, frame_spacing: int) -> dict[str, float]:
-    """All measures of one split [episodes, T + 1], by the name under which they are logged."""
+def representation_metrics(
+    encoder: nn.Module, predictor: nn.Module, split: TensorDictBase, frame_spacing: int, spec: PlantSpec
+) -> dict[str, float]:
+    """All measures of one split [episodes, T + 1], by the name under which they are logged.
+
+    What needs states is left out of data without them.
+    """
     data = embed_split(encoder, split, frame_spacing)
     embedding = data["embedding"]
     flat = embedding.flatten(0, 1)
@@ -79,12 +93,13 @@ def representation_metrics(encoder, predictor, split: TensorDictBase, frame_spac
         "effective_rank": effective_rank(flat),
         "std_mean": std.mean(),
         "std_min": std.min(),
-        "action_sensitivity": action_sensitivity(predictor, flat),
+        "action_sensitivity": action_sensitivity(predictor, flat, spec),
     }
     for horizon, skill in prediction_skill(predictor, embedding, data["action"], SKILL_HORIZONS).items():
         metrics[f"skill_{horizon}"] = skill
-    for name, rmse in zip(STATE_NAMES, linear_probe_rmse(embedding, data["state"]), strict=True):
-        metrics[f"probe_{name}"] = rmse
+    if spec.state_dim:
+        for name, rmse in zip(spec.state_names, linear_probe_rmse(embedding, data["state"]), strict=True):
+            metrics[f"probe_{name}"] = rmse
     return {name: float(value) for name, value in metrics.items()}
 
 
@@ -113,8 +128,9 @@ class RepresentationMonitor(lightning.Callback):
             self.check(metrics)
 
     def log_metrics(self, stage: str, trainer, module, split: TensorDictBase) -> dict[str, float]:
-        """Logs all measures of a split, and their ``skill``: what early stopping looks at, the mean over horizons."""
-        metrics = representation_metrics(module.encoder, module.predictor, split, trainer.datamodule.frame_spacing)
+        """Logs all measures of a split, and their ``skill``, the mean over horizons."""
+        data = trainer.datamodule
+        metrics = representation_metrics(module.encoder, module.predictor, split, data.frame_spacing, data.spec)
         skills = [value for name, value in metrics.items() if name.startswith("skill_")]
         metrics["skill"] = sum(skills) / len(skills)
         module.log_dict({f"{stage}/{name}": value for name, value in metrics.items()}, batch_size=1, sync_dist=True)
@@ -129,6 +145,6 @@ class RepresentationMonitor(lightning.Callback):
             )
         if metrics["action_sensitivity"] > self.max_action_sensitivity:
             raise CollapseError(
-                f"The predictor collapsed to copying: the cosine between its predictions under +20 N and -20 N is "
+                f"The predictor collapsed to copying: the cosine between its predictions under the extreme commands is "
                 f"{metrics['action_sensitivity']:.5f}; raise inverse_weight or the sampling interval."
             )

@@ -27,6 +27,6 @@ def start_from(name: str, **parts: nn.Module) -> None:
         if not any(value.ndim > 1 for value in fitting.values()) and part == "encoder":
             raise ValueError(
                 f"No weights of the {part} of {name!r} fit this one's sizes: give it the widths and the frame_stack of "
-                f"{name!r} ({controller.architecture}), or leave out `pretrained`."
+                f"{name!r}, which its config.yaml names, or leave out `pretrained`."
             )
         module.load_state_dict(own | fitting)

@@ -6,14 +6,24 @@ import os
 import warnings
 from collections.abc import Sequence
 from contextlib import ExitStack
+from pathlib import Path
+from typing import Literal
 
+import torch
+from jsonargparse import Namespace
+from lightning import LightningModule, Trainer
+from lightning.pytorch.callbacks import Callback, ModelCheckpoint
 from lightning.pytorch.cli import LightningArgumentParser, LightningCLI, SaveConfigCallback
 
 from tsjepa.support.allocator import keep_freed_memory
 from tsjepa.support.files import exclusive
+from tsjepa.support.precision import MEMORY_FORMATS, Precision, candidates, choose, describe
 from tsjepa.support.recipes import error_method, find_recipes
 from tsjepa.support.trust import TRUST
-from tsjepa.training.callbacks import StopWhenNotFinite
+from tsjepa.training.callbacks import ExportModel, Pace, StopWhenNotFinite, WritePredictions
+from tsjepa.training.resume import ContinuedCSVLogger
+
+ROOT = "runs/fit"  # where a recipe without trainer.default_root_dir leaves its results
 
 
 class SaveFitConfig(SaveConfigCallback):
@@ -22,6 +32,41 @@ class SaveFitConfig(SaveConfigCallback):
     def setup(self, trainer, pl_module, stage: str) -> None:
         if stage == "fit":
             super().setup(trainer, pl_module, stage)
+
+
+def decide(given: Precision | None, trainer: Namespace, model: LightningModule) -> Precision:
+    """What this fit computes in: ``given``, else what is fastest for the model's encoder on the trainer's device.
+
+    Several processes have to decide alike, so they take the likeliest choice without a measurement.
+    """
+    if given is not None:
+        return given
+    encoder = next((part for name, part in model.named_modules() if name.split(".")[-1] == "encoder"), None)
+    device = device_of(trainer.accelerator)
+    alone = trainer.devices in ("auto", 1, "1", [0]) and trainer.num_nodes == 1
+    alone = alone and not (trainer.devices == "auto" and device.type == "cuda" and torch.cuda.device_count() > 1)
+    return choose(encoder, device) if alone else candidates(device)[0]
+
+
+def device_of(accelerator: object) -> torch.device:
+    """The kind of device that Lightning takes for ``trainer.accelerator``."""
+    if accelerator in ("auto", "gpu", "cuda") and torch.cuda.is_available():
+        return torch.device("cuda")
+    if accelerator in ("auto", "gpu", "mps") and torch.backends.mps.is_available():
+        return torch.device("mps")
+    return torch.device("cpu")
+
+
+def equipment(root: Path, checkpoints: bool) -> list[Callback]:
+    """What every fit has, so that recipes need not name it: the result, predictions and checkpoints below ``root``.
+
+    The export comes behind what a recipe lists, so that it writes what the finishes have made.
+    """
+    every = [StopWhenNotFinite(), Pace(), ExportModel(), WritePredictions()]
+    if not checkpoints:
+        return every
+    last = {"save_last": True, "every_n_epochs": 1, "save_on_train_epoch_end": True, "enable_version_counter": False}
+    return [*every, ModelCheckpoint(dirpath=root / "checkpoints", **last)]
 
 
 def run_lightning(command: str, options: Sequence[str], program: str = "tsjepa", trusted: bool = False) -> None:
@@ -58,11 +103,34 @@ def run_lightning(command: str, options: Sequence[str], program: str = "tsjepa",
             if command != "fit":
                 chosen.trainer.logger = False
 
+        def add_arguments_to_parser(self, parser: LightningArgumentParser) -> None:
+            help = "of pictures in the encoder; null, as trainer.precision null: what is fastest on this machine"
+            parser.add_argument("--memory_format", type=Literal[tuple(MEMORY_FORMATS)] | None, default=None, help=help)
+
+        def instantiate_trainer(self, **kwargs) -> Trainer:
+            settings = self.config[command]
+            given = settings.trainer.precision and Precision(
+                str(settings.trainer.precision), settings.memory_format or "channels_last"
+            )
+            chosen = decide(given, settings.trainer, self.model)
+            # the run's config.yaml names what was chosen
+            settings.trainer.precision = chosen.trainer
+            settings.memory_format = settings.memory_format or chosen.memory_format
+            self.model.to(memory_format=MEMORY_FORMATS[settings.memory_format])
+            root = Path(settings.trainer.default_root_dir or ROOT)
+            if settings.trainer.logger in (None, True):
+                kwargs["logger"] = ContinuedCSVLogger(root.parent, name="", version=root.name)
+            self.trainer_defaults["callbacks"] += equipment(root, settings.trainer.enable_checkpointing is not False)
+            return super().instantiate_trainer(precision=chosen.trainer, default_root_dir=root, **kwargs)
+
         # Two fits in one folder would mix their checkpoints and logs.
         def before_fit(self) -> None:
             if self.trainer.is_global_zero:
                 logger = self.trainer.logger
                 stack.enter_context(exclusive(logger.log_dir if logger else self.trainer.default_root_dir))
+                settings = self.config[command]
+                chosen = Precision(settings.trainer.precision, settings.memory_format)
+                print(f"This fit computes in {describe(chosen, self.trainer.strategy.root_device)}.")
 
     # Lightning warns when it is handed arguments while the process has its own.
     warnings.filterwarnings("ignore", message="LightningCLI's args parameter")
@@ -74,7 +142,7 @@ def run_lightning(command: str, options: Sequence[str], program: str = "tsjepa",
             auto_configure_optimizers=False,
             trainer_defaults={
                 "plugins": {"class_path": "tsjepa.training.resume.AtomicCheckpointIO"},
-                "callbacks": [StopWhenNotFinite()],
+                "callbacks": [],
                 # the data modules' own samplers know their process
                 "use_distributed_sampler": False,
             },

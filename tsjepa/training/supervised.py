@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import lightning
 import torch
 from tensordict import TensorDict, TensorDictBase
-from torch import Tensor
+from torch import Tensor, nn
 
 from tsjepa.data.augmentation import Augmentation
-from tsjepa.models import Actor, Architecture, Encoder, SemanticController
-from tsjepa.models.actor import COMMAND_LIMIT
-from tsjepa.training.embeddings import embed_split
+from tsjepa.models import SemanticController
+from tsjepa.support.seeds import derive, run_seed
+from tsjepa.training.controllers import new_controller
+from tsjepa.training.embeddings import commands_to_imitate, embed_patches, embed_split
 from tsjepa.training.pretrained import start_from
 from tsjepa.training.schedule import warmup_cosine_schedule
+from tsjepa.training.statistics import command_nmae, squared_command_error
 
 
 class Supervised(lightning.LightningModule):
@@ -22,59 +22,52 @@ class Supervised(lightning.LightningModule):
 
     Args:
         encoder: with kappa of 2 or 4.
-        actor: on the encoder's embedding.
         augmentation: as for TS-JEPA.
+        hidden_dims, dropout: of the actor.
         learning_rate: peak of AdamW; warm-up and cosine decay as in TS-JEPA.
         weight_decay: of AdamW.
         pretrained: zoo entry (name or folder) whose encoder to start from, as far as sizes agree.
-        seed: seed of the augmentation's own stream.
     """
 
     def __init__(
         self,
-        encoder: Encoder,
-        actor: Actor,
+        encoder: nn.Module,
         augmentation: Augmentation,
+        hidden_dims: tuple[int, int] = (1024, 256),
+        dropout: float = 0.0,
         learning_rate: float = 1e-3,
         weight_decay: float = 1e-2,
         pretrained: str | None = None,
-        seed: int = 0,
     ) -> None:
         super().__init__()
         if pretrained is not None:
             start_from(pretrained, encoder=encoder)
-        self.model = SemanticController(
-            Architecture(
-                frame_stack=encoder.frame_shape[0],
-                widths=encoder.widths,
-                embedding_dim=encoder.embedding_dim,
-                actor_hidden_dims=actor.hidden_dims,
-                has_predictor=False,
-            )
-        )
-        self.model.encoder, self.model.actor, self.augmentation = encoder, actor, augmentation
-        self.learning_rate, self.weight_decay, self.seed = learning_rate, weight_decay, seed
+        self.encoder, self.augmentation = encoder, augmentation
+        self.hidden_dims, self.dropout = hidden_dims, dropout
+        self.learning_rate, self.weight_decay = learning_rate, weight_decay
+        self.model: SemanticController | None = None
 
     def setup(self, stage: str) -> None:
         data = self.trainer.datamodule
-        self.model.architecture = replace(
-            self.model.architecture,
-            frame_spacing=data.frame_spacing,
-            sampling_interval=data.metadata["sampling_interval"],
-        )
+        if self.model is None:
+            self.model = new_controller(
+                self.encoder, None, data.metadata, data.frame_spacing, self.hidden_dims, self.dropout
+            )
 
     def training_step(self, batch: TensorDictBase, batch_index: int) -> Tensor:
-        generator = torch.Generator().manual_seed(self.seed * 1_000_003 + self.global_step)
-        embedding = self.model.encoder.embed(self.augmentation(batch["patches"].flatten(0, 1), generator))
-        error = self.model.actor.unclipped(embedding) - batch["expert_action"].flatten(0, 1)
-        loss = (error / COMMAND_LIMIT).square().mean()
+        generator = torch.Generator().manual_seed(derive(run_seed(), "augmentation", self.global_step))
+        mix = getattr(self.encoder, "color_mix", None)
+        patches = self.augmentation(batch["patches"].flatten(0, 1), generator, mix=mix)
+        embedding = embed_patches(self.encoder, patches)
+        command = self.model.actor.unclipped(embedding)
+        loss = squared_command_error(command, batch["expert_action"].flatten(0, 1), self.model.spec)
         self.log("loss", loss, prog_bar=True)
         return loss
 
     def nmae(self, split: TensorDictBase) -> Tensor:
-        """Mean command error over 40 N on a split [episodes, T + 1]."""
-        embedded = embed_split(self.model.encoder, split, self.trainer.datamodule.frame_spacing)
-        return (self.model.act(embedded["embedding"]) - embedded["expert_action"]).abs().mean() / (2 * COMMAND_LIMIT)
+        """Mean command error over the actuator's range on a split [episodes, T + 1]."""
+        embedded = embed_split(self.encoder, split, self.trainer.datamodule.frame_spacing)
+        return command_nmae(self.model.act(embedded["embedding"]), commands_to_imitate(embedded), self.model.spec)
 
     def validation_step(self, batch: TensorDictBase, batch_index: int) -> None:
         self.log("val/command_nmae", self.nmae(batch), prog_bar=True, batch_size=1)
@@ -84,7 +77,7 @@ class Supervised(lightning.LightningModule):
 
     def predict_step(self, batch: TensorDictBase, batch_index: int) -> TensorDict:
         """The ``command`` for every stack of a split, beside embedding, state and the expert's command."""
-        embedded = embed_split(self.model.encoder, batch, self.trainer.datamodule.frame_spacing)
+        embedded = embed_split(self.encoder, batch, self.trainer.datamodule.frame_spacing)
         return embedded.set("command", self.model.act(embedded["embedding"]))
 
     def controller(self) -> SemanticController:
@@ -92,7 +85,7 @@ class Supervised(lightning.LightningModule):
         return self.model
 
     def configure_optimizers(self):
-        parameters = [*self.model.encoder.parameters(), *self.model.actor.parameters()]
+        parameters = [*self.encoder.parameters(), *self.model.actor.parameters()]
         optimizer = torch.optim.AdamW(parameters, self.learning_rate, weight_decay=self.weight_decay)
         total = self.trainer.estimated_stepping_batches
         schedule = warmup_cosine_schedule(optimizer, total)

@@ -1,13 +1,25 @@
 """The chain from plant to controller, one TorchRL transform per box.
 
-Order in a ``Compose``: Channel, Scheduler, Camera, Encode, Codec, Uplink, Estimator, HoldCommand; leave out what the
-experiment does not have.
+Order in a ``Compose``: Drive, Channel, Scheduler, Camera, Encode, Codec, Uplink, Estimator, HoldCommand; leave
+out what the experiment does not have.
 """
 
 from tsjepa.envs.transforms.camera import Camera, Encode
 from tsjepa.envs.transforms.channel import Channel
+from tsjepa.envs.transforms.drive import Drive
 from tsjepa.envs.transforms.estimator import Estimator, HoldCommand, linear_model
 from tsjepa.envs.transforms.scheduler import Scheduler
 from tsjepa.envs.transforms.uplink import Codec, Uplink
 
-__all__ = ["Camera", "Channel", "Codec", "Encode", "Estimator", "HoldCommand", "Scheduler", "Uplink", "linear_model"]
+__all__ = [
+    "Camera",
+    "Channel",
+    "Codec",
+    "Drive",
+    "Encode",
+    "Estimator",
+    "HoldCommand",
+    "Scheduler",
+    "Uplink",
+    "linear_model",
+]

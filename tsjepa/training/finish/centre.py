@@ -8,6 +8,7 @@ from tensordict import TensorDictBase
 
 from tsjepa.models import Encoder
 from tsjepa.training.embeddings import embed_split
+from tsjepa.training.finish.callback import Finish
 
 
 @torch.no_grad()
@@ -36,10 +37,9 @@ def centre_embedding(encoder: Encoder, split: TensorDictBase, frame_spacing: int
     encoder.project.bias -= (torch.stack(sums).sum(0) / count).to(encoder.project.bias)
 
 
-class CentreEmbedding(lightning.Callback):
+class CentreEmbedding(Finish):
     """Runs :func:`centre_embedding` on the training split at the end of the fit; list it before ``RefinePredictor``."""
 
-    def on_fit_end(self, trainer: lightning.Trainer, module: lightning.LightningModule) -> None:
-        if trainer.is_global_zero:
-            data = trainer.datamodule
-            centre_embedding(module.encoder, data.split("train"), data.frame_spacing)
+    def finish(self, trainer: lightning.Trainer, module: lightning.LightningModule) -> None:
+        data = trainer.datamodule
+        centre_embedding(module.encoder, data.split("train"), data.frame_spacing)

@@ -9,9 +9,10 @@ import torch
 
 from tsjepa.radio.codecs import AffineCodec
 from tsjepa.training.embeddings import embed_split
+from tsjepa.training.finish.callback import Finish
 
 
-class FitCodec(lightning.Callback):
+class FitCodec(Finish):
     """Sets ``code_low`` and ``code_high`` of the controller when the fit ends. List it before the export.
 
     They are the smallest and the largest value of each dimension over the splits, as :meth:`AffineCodec.fit` has them.
@@ -23,14 +24,12 @@ class FitCodec(lightning.Callback):
     def __init__(self, splits: Sequence[str] = ("train", "actor_train")) -> None:
         self.splits = tuple(splits)
 
-    def on_fit_end(self, trainer: lightning.Trainer, module: lightning.LightningModule) -> None:
-        if not trainer.is_global_zero:
-            return
+    def finish(self, trainer: lightning.Trainer, module: lightning.LightningModule) -> None:
         model, data = module.controller(), trainer.datamodule
         spacing = model.frame_spacing
         parts = [
             embed_split(model.encoder, data.split(name), spacing)["embedding"].flatten(0, 1) for name in self.splits
         ]
-        codec = AffineCodec(model.embedding_dim).fit(torch.cat(parts))
+        codec = AffineCodec(model.embedding_dim).to(model.code_low.device).fit(torch.cat(parts))
         model.code_low.copy_(codec.low)
         model.code_high.copy_(codec.high)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import nullcontext
 
 import lightning
 import torch
@@ -11,8 +12,10 @@ from torch.nn import functional as F
 
 from tsjepa.models.decoder import Decoder
 from tsjepa.models.encoder import patchify
+from tsjepa.support.seeds import derive, run_seed
 from tsjepa.training.embeddings import embed_split
-from tsjepa.training.finish.minimize import FORWARD_DTYPE, minimize
+from tsjepa.training.finish.callback import Finish
+from tsjepa.training.finish.minimize import ForwardContext, minimize
 
 SMOOTHING = 17  # pixels, about the cart's width
 
@@ -27,7 +30,7 @@ def look_around(decoder: Decoder, frames: Tensor, contrast_floor: float = 10.0, 
         frames: uint8 [N, H, W, 3], of which at least ``count`` are looked at.
         contrast_floor: least contrast, of 255; a higher one lets rarely covered regions weigh less.
     """
-    some = frames[:: max(1, len(frames) // count)]
+    some = frames[:: max(1, len(frames) // count)].to(decoder.background.device)
     background = some.median(0).values
     squares = torch.stack([(frame.float() - background).square().mean(-1) for frame in some]).mean(0)
     around = F.avg_pool2d(squares[None, None], SMOOTHING, 1, SMOOTHING // 2, count_include_pad=False)[0, 0]
@@ -84,6 +87,7 @@ def fit_decoder(
     batch_size: int = 128,
     learning_rate: float = 3e-3,
     seed: int = 0,
+    forward_context: ForwardContext = nullcontext,
 ) -> None:
     """Trains the decoder in place on :func:`reconstruction_loss` and leaves it in evaluation mode.
 
@@ -93,6 +97,7 @@ def fit_decoder(
         frames: uint8 [N, H, W, 3], the newest frame of each embedding; may lie on another device.
         steps, batch_size, learning_rate: of AdamW with warm-up and cosine decay.
         seed: seed of the batches.
+        forward_context: the precision of the drawing.
     """
     device = embedding.device
     look_around(decoder, frames)
@@ -101,7 +106,7 @@ def fit_decoder(
     def loss() -> Tensor:
         rows = torch.randint(len(embedding), (batch_size,), generator=generator)
         patches = patchify(frames[rows].to(device)[:, None])
-        with torch.autocast(device.type, FORWARD_DTYPE):
+        with forward_context():
             drawn = decoder.draw(embedding[rows.to(device)])
         return reconstruction_loss(decoder, drawn, patches)
 
@@ -110,7 +115,7 @@ def fit_decoder(
     decoder.eval()
 
 
-class FitDecoder(lightning.Callback):
+class FitDecoder(Finish):
     """Runs :func:`fit_decoder` on the controller's decoder when the fit ends. List it before the export.
 
     Args:
@@ -122,18 +127,20 @@ class FitDecoder(lightning.Callback):
     def __init__(self, steps: int = 1500, batch_size: int = 128, splits: Sequence[str] = ("train",)) -> None:
         self.steps, self.batch_size, self.splits = steps, batch_size, tuple(splits)
 
-    def on_fit_end(self, trainer: lightning.Trainer, module: lightning.LightningModule) -> None:
-        if not trainer.is_global_zero:
-            return
+    def finish(self, trainer: lightning.Trainer, module: lightning.LightningModule) -> None:
         model, data = module.controller(), trainer.datamodule
-        # Lightning has already moved everything back to the CPU
-        home, device = next(model.decoder.parameters()).device, trainer.strategy.root_device
-        model.to(device)
         embeddings, frames = [], []
         for split in map(data.split, self.splits):
             embedded = embed_split(model.encoder, split, model.frame_spacing)["embedding"]
             newest = torch.from_numpy(split["pixels"].numpy())[:, -embedded.shape[1] :]
             embeddings.append(embedded.flatten(0, 1))
             frames.append(newest.flatten(0, 1))
-        fit_decoder(model.decoder, torch.cat(embeddings), torch.cat(frames), self.steps, self.batch_size)
-        model.to(home)
+        fit_decoder(
+            model.decoder,
+            torch.cat(embeddings),
+            torch.cat(frames),
+            self.steps,
+            self.batch_size,
+            seed=derive(run_seed(), "decoder"),
+            forward_context=trainer.precision_plugin.forward_context,
+        )

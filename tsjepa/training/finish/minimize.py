@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from contextlib import AbstractContextManager
 
 import torch
 from torch import Tensor, nn
@@ -10,7 +11,9 @@ from tqdm import trange
 
 from tsjepa.training.schedule import warmup_cosine_schedule
 
-FORWARD_DTYPE = torch.bfloat16  # of autocast; losses are taken outside it
+# Makes the context of a forward pass, ``trainer.precision_plugin.forward_context``; losses are taken outside it.
+ForwardContext = Callable[[], AbstractContextManager]
+SHOW_EVERY = 50  # steps; to read a loss makes the host wait for the device
 
 
 def minimize(
@@ -34,10 +37,11 @@ def minimize(
     optimizer = torch.optim.AdamW(parameters, learning_rate, weight_decay=weight_decay)
     schedule = warmup_cosine_schedule(optimizer, steps)
     progress = trange(steps, desc=what, unit="step")
-    for _ in progress:
+    for step in progress:
         value = loss()
         optimizer.zero_grad()
         value.backward()
         optimizer.step()
         schedule.step()
-        progress.set_postfix(loss=f"{value.item():.5f}", refresh=False)
+        if (step + 1) % SHOW_EVERY == 0 or step + 1 == steps:
+            progress.set_postfix(loss=f"{value.item():.5f}", refresh=False)

@@ -7,11 +7,13 @@ from collections.abc import Sequence
 import lightning
 import torch
 from torch import Tensor
-from tqdm import trange
 
 from tsjepa.models import StateProbe
+from tsjepa.support.seeds import derive, run_seed
 from tsjepa.training.embeddings import embed_split
-from tsjepa.training.schedule import warmup_cosine_schedule
+from tsjepa.training.finish.callback import Finish
+from tsjepa.training.finish.minimize import minimize
+from tsjepa.training.statistics import mean_and_std
 
 
 def fit_probe(
@@ -25,28 +27,28 @@ def fit_probe(
 ) -> None:
     """Trains the probe in place on squared errors, each component of the state over its standard deviation.
 
+    It computes in float32 whatever the trainer does: a state is wanted in millimetres, and the probe is small.
+
     Args:
         probe: its ``state_mean`` and ``state_std`` are set from ``state``.
         embedding: [N, d].
-        state: [N, 4].
+        state: [N, n].
         steps, batch_size, learning_rate: of AdamW with warm-up and cosine decay.
         seed: seed of the batches.
     """
-    probe.state_mean.copy_(state.mean(0))
-    probe.state_std.copy_(state.std(0))
+    mean, std = mean_and_std(state)
+    probe.state_mean.copy_(mean)
+    probe.state_std.copy_(std)
     generator = torch.Generator().manual_seed(seed)
-    optimizer = torch.optim.AdamW(probe.parameters(), learning_rate, weight_decay=1e-4)
-    schedule = warmup_cosine_schedule(optimizer, steps)
-    for _ in trange(steps, desc="fit probe", unit="step"):
+
+    def loss() -> Tensor:
         rows = torch.randint(len(embedding), (batch_size,), generator=generator).to(embedding.device)
-        loss = ((probe(embedding[rows]) - state[rows]) / probe.state_std).square().mean()
-        optimizer.zero_grad()
-        loss.backward()
-        optimizer.step()
-        schedule.step()
+        return ((probe(embedding[rows]) - state[rows]) / probe.state_std).square().mean()
+
+    minimize(loss, probe.parameters(), steps, learning_rate, 1e-4, "fit probe")
 
 
-class FitProbe(lightning.Callback):
+class FitProbe(Finish):
     """Runs :func:`fit_probe` on the controller's probe when the fit ends. List it before the export.
 
     Args:
@@ -57,11 +59,12 @@ class FitProbe(lightning.Callback):
     def __init__(self, steps: int = 4000, splits: Sequence[str] = ("train", "actor_train")) -> None:
         self.steps, self.splits = steps, tuple(splits)
 
-    def on_fit_end(self, trainer: lightning.Trainer, module: lightning.LightningModule) -> None:
-        if not trainer.is_global_zero:
-            return
+    def finish(self, trainer: lightning.Trainer, module: lightning.LightningModule) -> None:
         model, data = module.controller(), trainer.datamodule
+        if model.probe is None:
+            trainer.print("The data have no states: there is no probe.")
+            return
         spacing = model.frame_spacing
         parts = [embed_split(model.encoder, data.split(name), spacing).flatten(0, 1) for name in self.splits]
         rows = torch.cat(parts)
-        fit_probe(model.probe, rows["embedding"], rows["state"], self.steps)
+        fit_probe(model.probe, rows["embedding"], rows["state"], self.steps, seed=derive(run_seed(), "probe"))

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
+
 import lightning
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor, nn
 
-from tsjepa.data.module import Trajectories
-from tsjepa.data.storage import open_split
 from tsjepa.models.predictor import rollout
+from tsjepa.support.seeds import derive, run_seed
 from tsjepa.training.embeddings import embed_split
-from tsjepa.training.finish.minimize import FORWARD_DTYPE, minimize
+from tsjepa.training.finish.callback import Finish
+from tsjepa.training.finish.minimize import ForwardContext, minimize
 from tsjepa.training.losses import cosine_loss
 
 
@@ -25,6 +27,7 @@ def refine_predictor(
     seed: int,
     start_share: float = 0.0,
     starts: TensorDictBase | None = None,
+    forward_context: ForwardContext = nullcontext,
 ) -> None:
     """Trains the predictor in place with the same cosine loss over auto-regressive roll-outs.
 
@@ -41,6 +44,7 @@ def refine_predictor(
             uniform roll-outs make the predictor take the expert's for granted.
         starts: many short trajectories [episodes, slots], from anywhere in which that share is taken instead: a
             predictor of 256 numbers learns the few starts of ``embedded`` by heart.
+        forward_context: the precision of the roll-outs.
     """
     for part in (embedded, starts):
         if part is not None and horizon >= part.shape[1]:
@@ -56,7 +60,7 @@ def refine_predictor(
             short = round(start_share * batch_size)
             parts = (draw(embedded, batch_size - short, horizon, generator), draw(starts, short, horizon, generator))
             embedding, action = (torch.cat(pair) for pair in zip(*parts, strict=True))
-        with torch.autocast(embedding.device.type, FORWARD_DTYPE):
+        with forward_context():
             predicted = rollout(predictor, embedding[:, 0], action)
         return cosine_loss(predicted, embedding[:, 1:])
 
@@ -66,7 +70,7 @@ def refine_predictor(
 def draw(
     embedded: TensorDictBase, count: int, horizon: int, generator: torch.Generator, start_share: float = 0.0
 ) -> tuple[Tensor, Tensor]:
-    """Embeddings [count, horizon + 1, d] and commands [count, horizon, 1] of roll-outs that begin anywhere, or, as
+    """Embeddings [count, horizon + 1, d] and commands [count, horizon, m] of roll-outs that begin anywhere, or, as
     many as ``start_share`` says, where a trajectory begins."""
     embedding, action = embedded["embedding"], embedded["action"]
     episodes, slots = embedded.batch_size
@@ -77,11 +81,13 @@ def draw(
     return embedding[episode, rows], action[episode, rows[:, :-1]]
 
 
-class RefinePredictor(lightning.Callback):
+class RefinePredictor(Finish):
     """Runs :func:`refine_predictor` when the fit ends, on the data module's training splits. List it before the export.
 
-    Args: as of :func:`refine_predictor`, with ``starts`` the folder of a data set, whose split "train" is taken, and
-        ``collect_starts`` the recipe that collects it when it does not exist.
+    Args:
+        steps, horizon, batch_size, learning_rate, start_share: as of :func:`refine_predictor`.
+        starts: split of many short trajectories from which ``start_share`` of the roll-outs is taken; None for the
+            starts of the training splits.
     """
 
     def __init__(
@@ -90,34 +96,31 @@ class RefinePredictor(lightning.Callback):
         horizon: int = 10,
         batch_size: int = 256,
         learning_rate: float = 2e-3,
-        seed: int = 0,
         start_share: float = 0.0,
         starts: str | None = None,
-        collect_starts: str = "recipes/zoo/starts.yaml",
     ) -> None:
         self.steps, self.horizon, self.batch_size = steps, horizon, batch_size
-        self.learning_rate, self.seed, self.start_share = learning_rate, seed, start_share
-        self.starts, self.collect_starts = starts, collect_starts
+        self.learning_rate, self.start_share, self.starts = learning_rate, start_share, starts
 
     def on_fit_start(self, trainer: lightning.Trainer, module: lightning.LightningModule) -> None:
-        if self.starts is not None and trainer.is_global_zero:  # now: what is wrong with it is told before the fit
-            Trajectories(path=self.starts, collect=self.collect_starts).prepare_data()
-            open_split(self.starts, "train")
+        if self.starts is not None:
+            trainer.datamodule.split(self.starts)  # what is wrong with it is told before the fit
 
-    def on_fit_end(self, trainer: lightning.Trainer, module: lightning.LightningModule) -> None:
-        if trainer.is_global_zero:
-            data = trainer.datamodule
-            spacing = data.frame_spacing
-            embedded = torch.cat([embed_split(module.encoder, data.split(name), spacing) for name in data.splits])
-            starts = self.starts and embed_split(module.encoder, open_split(self.starts, "train"), spacing)
-            refine_predictor(
-                module.predictor,
-                embedded,
-                self.steps,
-                self.horizon,
-                self.batch_size,
-                self.learning_rate,
-                self.seed,
-                self.start_share,
-                starts,
-            )
+    def finish(self, trainer: lightning.Trainer, module: lightning.LightningModule) -> None:
+        data = trainer.datamodule
+
+        def embedded(*names: str) -> TensorDictBase:
+            return torch.cat([embed_split(module.encoder, data.split(name), data.frame_spacing) for name in names])
+
+        refine_predictor(
+            module.predictor,
+            embedded(*data.splits),
+            self.steps,
+            self.horizon,
+            self.batch_size,
+            self.learning_rate,
+            derive(run_seed(), "refine"),
+            self.start_share,
+            embedded(self.starts) if self.starts else None,
+            trainer.precision_plugin.forward_context,
+        )
