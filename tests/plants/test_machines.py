@@ -137,7 +137,9 @@ def test_goals_lie_in_the_suites_ring_and_change_when_they_should():
     assert abs(radius.mean() - 0.125) < 0.003 and np.abs(first.mean(0)).max() < 0.008
     np.testing.assert_array_equal(plant.references(3, devices[9:10], ONE * 0, ONE * 50), next_goal[9:10])
     still = Reacher(goal_slots=0)
-    np.testing.assert_array_equal(still.references(3, devices, zeros, zeros + 700), still.references(3, devices, zeros, zeros))
+    np.testing.assert_array_equal(
+        still.references(3, devices, zeros, zeros + 700), still.references(3, devices, zeros, zeros)
+    )
 
 
 def test_goals_for_data_are_of_the_same_kind():

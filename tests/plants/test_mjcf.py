@@ -59,7 +59,9 @@ def test_sensors_may_be_the_state(machine):
     sensors = ["arm_encoder", "pole_encoder", "arm_tacho", "pole_tacho"]
     by_joint = machine(**LIMITS)
     score = {"pole_encoder": 0.05, "arm_encoder": 0.1}
-    plant = machine(state=sensors, start=LIMITS["start"], score=score, failure={"pole_encoder": 0.8, "arm_encoder": 2.0})
+    plant = machine(
+        state=sensors, start=LIMITS["start"], score=score, failure={"pole_encoder": 0.8, "arm_encoder": 2.0}
+    )
     assert plant.spec.state_names == tuple(sensors) and set(plant.spec.state_units) == {"unknown"}
     for ours, expected in zip(plant.linear(), by_joint.linear(), strict=True):
         torch.testing.assert_close(ours, expected, atol=1e-6, rtol=1e-6)
@@ -91,12 +93,20 @@ def test_the_pose_may_be_a_keyframe_and_counts_as_zero(machine):
 @pytest.mark.parametrize(
     ("xml", "arguments", "said"),
     [
-        (machines.ROTARY, {"pose": "tilted"}, "no equilibrium: with all commands at 0, pole_dot changes by .*give a pose"),
+        (
+            machines.ROTARY,
+            {"pose": "tilted"},
+            "no equilibrium: with all commands at 0, pole_dot changes by .*give a pose",
+        ),
         (machines.ROTARY, {"pose": {"pole": 0.3}}, "no equilibrium"),
         (machines.FALLING, {"action": {"lid": [-1, 1]}}, "in the air and falls: give settle"),
         (machines.UNDRIVEN, {}, r"not controllable: other(_dot)? grows 1\.\d+-fold in a slot, and no command"),
         (machines.ROTARY, {"state": ["arm"]}, "they depend on pole too; add it to state"),
-        (machines.ROTARY, {"state": ["wheel"]}, "state names wheel; the model has the joints arm, pole and the sensors"),
+        (
+            machines.ROTARY,
+            {"state": ["wheel"]},
+            "state names wheel; the model has the joints arm, pole and the sensors",
+        ),
         (machines.ROTARY, {"action": {"motor": [-1, 1]}}, "action names motor; the model has drive"),
         (machines.ROTARY, {"action": {}}, "action names no actuator; the model has drive"),
         (machines.ROTARY, {"action": {"drive": [0, 0]}}, "leave a range"),

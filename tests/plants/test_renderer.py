@@ -68,7 +68,9 @@ def test_nothing_of_what_moves_is_cut_off(kind, monkeypatch):
     whole = [0, 0, *plant.spec.frame[::-1]]
     monkeypatch.setattr(camera, "rectangles", lambda *_: np.tile(whole, (100, 1)))
     difference = np.abs(frames - plant.renderer.render(poses))
-    assert difference.max() < 30 and difference.mean() < 0.002  # a part that is cut off differs by its colour, 100 or more
+    assert (
+        difference.max() < 30 and difference.mean() < 0.002
+    )  # a part that is cut off differs by its colour, 100 or more
     assert (frames.std((1, 2, 3)) > 5).all()
 
 

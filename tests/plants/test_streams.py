@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from tsjepa.plants import CartPole, DoubleCartPole
 
+from tsjepa.plants import CartPole, DoubleCartPole
 from tsjepa.plants.streams import NOISE, normals, philox, uniforms
 
 ZERO = np.zeros(1, np.int64)

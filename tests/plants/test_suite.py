@@ -128,7 +128,9 @@ def test_a_policy_file_is_the_expert(kind, tmp_path):
         batch = {0: torch.export.Dim("batch")}
         torch.export.save(torch.export.export(Half(), (example,), dynamic_shapes=(batch,)), path)
     plant = Suite("acrobot", "swingup", expert=path)
-    states = torch.tensor([[[1.0, 0.0, 0.0, 0.0]], [[-0.5, 0.0, 0.0, 0.0]], [[9.0, 0.0, 0.0, 0.0]]], dtype=torch.float64)
+    states = torch.tensor(
+        [[[1.0, 0.0, 0.0, 0.0]], [[-0.5, 0.0, 0.0, 0.0]], [[9.0, 0.0, 0.0, 0.0]]], dtype=torch.float64
+    )
     command = plant.experts()["expert"](states)
     assert command.dtype == torch.float64 and command.flatten().tolist() == [0.5, -0.25, 1.0]
     again = build_plant(describe_plant(plant))
