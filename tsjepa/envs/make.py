@@ -141,9 +141,12 @@ def radio_end(
             resource_blocks=radio.resource_blocks,
             payload_bits=bits,
             units=None if bits is None else radio.units(plant.spec.slot),
+            sampling_interval=plant.spec.slot,
             csi=radio.csi,
             csi_delay=radio.csi_delay,
             snr_threshold_db=radio.snr_threshold_db,
+            max_doppler_hz=radio.max_doppler_hz,
+            loss=radio.loss,
         )
     )
     uplink = Uplink(radio.snr_threshold_db, lossless=lossless)
@@ -182,7 +185,7 @@ def far_end(
 
 
 def at_weights(model: nn.Module, method: Callable) -> Callable:
-    """``method`` of ``model`` for tensors that lie anywhere: computed where its weights lie, the result brought back."""
+    """``method`` of ``model`` for tensors anywhere: computed where its weights lie, and the result brought back."""
 
     def call(first: Tensor, *others: Tensor | None) -> Tensor:
         weight = next(model.parameters(), first)

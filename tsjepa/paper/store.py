@@ -16,7 +16,7 @@ def read(folder: str | Path, figure: str) -> list[dict]:
     """The records of a figure, none where nothing was recorded.
 
     A record has ``point``, ``rows``, ``seconds`` (that it took), ``made_by`` (command, commit, date) and ``weights``
-    (of every model of the zoo that it used, the first digits of the hash).
+    (of every model of the zoo and every recipe that it used, the first digits of the hash).
     """
     path = Path(folder) / f"{figure}.json"
     return json.loads(path.read_text())["records"] if path.is_file() else []

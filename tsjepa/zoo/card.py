@@ -41,9 +41,9 @@ USE = (
     "{name}` in a recipe)."
 )
 LIMITS = (
-    "It has seen one {machine} through one camera ({stack} frames of {height} x {width}, {interval:g} ms apart): another "
-    "camera, machine or slot length needs a model of its own, and nothing here was tried on hardware.{plant} Colours and "
-    "light other than the training's were not tested."
+    "It has seen one {machine} through one camera ({stack} frames of {height} x {width}, {interval:g} ms apart): "
+    "another camera, machine or slot length needs a model of its own, and nothing here was tried on hardware.{plant} "
+    "Colours and light other than the training's were not tested."
 )
 
 
