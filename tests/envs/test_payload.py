@@ -82,7 +82,7 @@ def test_raw_frames_are_counted_whole(model):
 
 def test_packets_of_no_fixed_length_ask_for_a_reservation(model):
     radio, spec = Radio(resource_blocks=None, codec="jpeg"), CartPole().spec
-    with pytest.raises(ValueError, match="vary in length: give radio.payload_bits"):
+    with pytest.raises(ValueError, match=r"vary in length: give radio\.payload_bits"):
         update_bits(radio, spec, model, update_codec(radio, spec, model))
 
 
