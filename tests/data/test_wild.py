@@ -32,7 +32,7 @@ def test_the_arm_has_five_episodes_and_a_clock_one_frame_ahead(tmp_path):
     assert report["skipped"] == []
     assert sum(len(split) for split in splits.values()) == 24  # 5 + 5 + 5 + 5 + 4 of 100 slots
     assert metadata["spec"]["frame"] == [64, 64] and len(metadata["spec"]["action_names"]) == 44
-    assert metadata["sampling_interval"] == pytest.approx(0.05)
+    assert metadata["spec"]["slot"] == pytest.approx(0.05)
 
 
 def test_the_humanoid_has_one_episode_whose_state_follows_by_nine_frames(tmp_path):
@@ -59,7 +59,7 @@ def test_the_car_is_split_at_its_gaps_and_its_missing_catalogs_are_named(tmp_pat
     assert [name for name in skipped if "catalog" in name] == [f"catalog_{number}.catalog" for number in range(1, 6)]
     assert any("piece 0" in name for name in skipped)  # two records before the first gap
     assert metadata["spec"]["action_names"] == ["user/angle", "user/throttle"]
-    assert metadata["sampling_interval"] == pytest.approx(0.05, abs=1e-3)
+    assert metadata["spec"]["slot"] == pytest.approx(0.05, abs=1e-3)
     assert sum(len(split) for split in splits.values()) == 11  # of 579 and 421 records, stretches that share no picture
 
 

@@ -89,10 +89,8 @@ class ArrayRecording:
         """
         for lengths, starts in LENGTHS:
             if lengths in arrays:
-                length = np.asarray(arrays[lengths][:], dtype=np.int64).ravel()
-                start = (
-                    np.asarray(arrays[starts][:], np.int64).ravel() if starts in arrays else length.cumsum() - length
-                )
+                length = _whole(arrays[lengths][:], lengths)
+                start = _whole(arrays[starts][:], starts) if starts in arrays else length.cumsum() - length
                 spans = [(int(at), int(at + size)) for at, size in zip(start, length, strict=False) if size > 0]
                 if any(first < 0 or last > rows for first, last in spans) or len(start) != len(length):
                     raise ValueError(f"its {lengths} and {starts} reach beyond its {rows} rows.")
@@ -142,6 +140,14 @@ class ArrayRecording:
         if len(rows) > 1:
             raise ValueError(f"{', '.join(keys)} have {min(rows)} to {max(rows)} rows.")
         return names, np.concatenate(parts, axis=1) if parts else np.zeros((0, 0), np.float32)
+
+
+def _whole(values: np.ndarray, name: str) -> np.ndarray:
+    """Whole numbers [N] of an array of them."""
+    values = np.asarray(values).ravel()
+    if values.dtype.kind not in "iuf" or not np.isfinite(values).all() or (np.abs(values) > 2**53).any():
+        raise ValueError(f"its {name} are no whole numbers.")
+    return values.astype(np.int64)
 
 
 def _bytes(cell: object) -> bytes:

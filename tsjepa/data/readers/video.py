@@ -37,16 +37,13 @@ def video_index(path: Path) -> VideoIndex:
     """
     refuse_pointer(path)
     av = optional("av")
-    av.logging.set_level(av.logging.PANIC)
     try:
         with av.open(str(path)) as container:
             if not container.streams.video:
                 raise ValueError(f"{path.name} holds no video.")
             stream = container.streams.video[0]
             check_picture_size(stream.width, stream.height, path.name)
-            packets = [packet for packet in container.demux(stream) if packet.size and not packet.is_discard]
-            ticks = [packet.pts for packet in packets]
-            del packets
+            ticks = [packet.pts for packet in container.demux(stream) if packet.size and not packet.is_discard]
             base, rate = stream.time_base, stream.average_rate
             container.seek(0)
             first = next(container.decode(stream), None)
@@ -124,7 +121,6 @@ class Video(Frames):
         av = optional("av")
         if self._container is None:
             self._container = av.open(str(self.path))
-            self._container.streams.video[0].thread_type = "AUTO"
         stream = self._container.streams.video[0]
         self._container.seek(tick, stream=stream)
         self._frames = self._container.decode(stream)
