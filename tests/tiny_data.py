@@ -6,6 +6,7 @@ import torch
 from tensordict import TensorDict
 
 from tsjepa.data.storage import publish
+from tsjepa.plants import CartPole
 
 SPLITS = {"train": 4, "validation": 2, "test": 2, "actor_train": 3, "actor_test": 2}
 
@@ -22,9 +23,8 @@ def split(episodes: int, slots: int, seed: int) -> TensorDict:
         for frame, (x, y, *_) in zip(frames, states.tolist(), strict=True):
             column, row = round(60 + 60 * x), round(28 + 100 * y)
             frame[max(0, row) : row + 12, max(0, column) : column + 12] = 250
-    colors = torch.zeros(episodes, slots + 1, 2, 3)
     values = {"pixels": pixels, "state": state, "action": command, "expert_action": -20 * state[..., :1]}
-    return TensorDict({**values, "colors": colors}, batch_size=[episodes, slots + 1])
+    return TensorDict(values, batch_size=[episodes, slots + 1])
 
 
 def write(folder: Path, slots: int = 24, seed: int = 0, **splits: int) -> Path:
@@ -33,6 +33,11 @@ def write(folder: Path, slots: int = 24, seed: int = 0, **splits: int) -> Path:
     sizes = splits or SPLITS
     for index, (name, episodes) in enumerate(sizes.items()):
         split(episodes, slots, 1000 * seed + index).memmap(partial / name)
-    metadata = {"splits": {name: {"episodes": count} for name, count in sizes.items()}, "slots": slots}
-    publish(partial, folder, {**metadata, "sampling_interval": 0.02})
+    metadata = {
+        "splits": {name: {"episodes": count, "slots": slots} for name, count in sizes.items()},
+        "plant": {"class_path": "tsjepa.plants.CartPole", "init_args": {"sampling_interval": 0.02}},
+        "spec": CartPole(0.02).spec.to_dict(),
+        "slots": slots,
+    }
+    publish(partial, folder, metadata)
     return folder

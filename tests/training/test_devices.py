@@ -5,6 +5,7 @@ from contextlib import nullcontext
 import fake_accelerator
 import lightning
 import pytest
+import tiny_controller
 import tiny_data
 import torch
 
@@ -12,7 +13,7 @@ from tsjepa.data import module as data_module
 from tsjepa.data.augmentation import Augmentation
 from tsjepa.data.module import Trajectories
 from tsjepa.data.storage import open_split
-from tsjepa.models import Architecture, Decoder, Encoder, Predictor, SemanticController, entries
+from tsjepa.models import Decoder, Encoder, Predictor, entries
 from tsjepa.training.actor import SemanticActor
 from tsjepa.training.autoencoder import Autoencoder, FitEstimator
 from tsjepa.training.callbacks import ExportModel
@@ -36,8 +37,7 @@ def jepa(data):
 
 
 def actor(data):
-    model = SemanticController(Architecture(widths=WIDTHS, embedding_dim=D, predictor_hidden_dim=16))
-    entry = entries.save(model, data.parent / "entry")
+    entry = entries.save(tiny_controller.tiny(), data.parent / "entry")
     finishes = [FitProbe(steps=2), FitDecoder(steps=2, batch_size=4)]
     return SemanticActor(str(entry), (16, 8)), ImitationPairs(data, batch_size=16, horizons=[0, 2]), finishes
 
@@ -58,10 +58,10 @@ def test_a_fit_and_its_finishes_compute_on_the_trainers_device(tmp_path, monkeyp
     monkeypatch.setattr(torch, "is_autocast_enabled", lambda *device: False)
     monkeypatch.setattr(torch, "autocast", lambda *arguments, **options: nullcontext())
     module, data, callbacks = make(path)
-    entry = tmp_path / "model"
     trainer = lightning.Trainer(
         strategy=fake_accelerator.strategy(),
-        callbacks=[*callbacks, FitCodec(), ExportModel(entry)],
+        callbacks=[*callbacks, FitCodec(), ExportModel()],
+        default_root_dir=tmp_path,
         max_epochs=1,
         num_sanity_val_steps=0,
         logger=False,
@@ -75,4 +75,4 @@ def test_a_fit_and_its_finishes_compute_on_the_trainers_device(tmp_path, monkeyp
     assert accelerator.products["cpu"] == 0
     # the result is on the CPU again, where it was saved from
     assert all(tensor.device.type == "cpu" for tensor in module.controller().state_dict().values())
-    assert entries.load(entry).architecture.embedding_dim == D
+    assert entries.load(tmp_path / "model").embedding_dim == D

@@ -7,6 +7,7 @@ from torch.nn import functional as F
 
 from tsjepa.data.augmentation import Augmentation
 from tsjepa.models import Encoder, Predictor, rollout
+from tsjepa.support.spec import PlantSpec
 from tsjepa.training.jepa import TSJEPA
 from tsjepa.training.schedule import warmup_cosine
 
@@ -98,7 +99,8 @@ def test_without_a_term_every_parameter_still_has_a_gradient(monkeypatch, weight
 
 def set_up(module, monkeypatch, action=None):
     """The module with a trainer whose training split holds these commands [episodes, T + 1, 1]."""
-    data = SimpleNamespace(frame_stack=2, frame_spacing=1, stacks=4, metadata={"sampling_interval": 0.02})
+    spec = PlantSpec((-20.0,), (20.0,), 0.02, (64, 128), state_names=("x", "v")).to_dict()
+    data = SimpleNamespace(frame_stack=2, frame_spacing=1, stacks=4, metadata={"spec": spec}, splits=("train",))
     data.split = {"train": {"action": action}}.__getitem__
     monkeypatch.setattr(TSJEPA, "trainer", SimpleNamespace(datamodule=data))
     module.setup("fit")

@@ -5,22 +5,15 @@ from types import SimpleNamespace
 
 import lightning
 import pytest
+import tiny_controller
 import tiny_data
 import torch
+from tensordict import TensorDict
 from torch.nn import functional as F
 
 from tsjepa.data.augmentation import Augmentation
 from tsjepa.data.module import Trajectories
-from tsjepa.models import (
-    Actor,
-    Architecture,
-    AutoencoderArchitecture,
-    AutoencoderController,
-    Encoder,
-    Predictor,
-    SemanticController,
-    entries,
-)
+from tsjepa.models import Encoder, Predictor, entries
 from tsjepa.training.actor import SemanticActor
 from tsjepa.training.autoencoder import FitEstimator
 from tsjepa.training.finish.decoder import FitDecoder
@@ -40,9 +33,7 @@ def path(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def entry(tmp_path_factory):
-    torch.manual_seed(0)
-    model = SemanticController(Architecture(widths=WIDTHS, embedding_dim=D, predictor_hidden_dim=16))
-    return str(entries.save(model, tmp_path_factory.mktemp("seed") / "entry"))
+    return str(entries.save(tiny_controller.tiny(), tmp_path_factory.mktemp("seed") / "entry"))
 
 
 def windows(path, entry):
@@ -77,7 +68,8 @@ def jepa_augmentation(path, entry, monkeypatch):
 
 def supervised_augmentation(path, entry, monkeypatch):
     torch.manual_seed(0)
-    module = Supervised(Encoder(2, WIDTHS, D), Actor(D, (16, 8), 0.0), Augmentation())
+    module = Supervised(Encoder(2, WIDTHS, D), Augmentation())
+    module.model = tiny_controller.tiny_supervised()
     return loss_of(module, {"patches": patches(4, 1), "expert_action": torch.ones(4, 1, 1)}, monkeypatch)
 
 
@@ -85,7 +77,7 @@ def dropout(path, entry, monkeypatch):
     torch.manual_seed(0)
     module = SemanticActor(entry, (64, 64), dropout=0.5)
     embedding = F.normalize(torch.randn(8, D, generator=torch.Generator().manual_seed(0)), dim=-1)
-    return loss_of(module, {"embedding": embedding, "expert_action": torch.ones(8, 1)}, monkeypatch)
+    return loss_of(module, TensorDict({"embedding": embedding, "action": torch.ones(8, 1)}, [8]), monkeypatch)
 
 
 def finished(callback, model, path, part):
@@ -94,34 +86,26 @@ def finished(callback, model, path, part):
     data.setup()
     precision = SimpleNamespace(forward_context=nullcontext)
     trainer = SimpleNamespace(datamodule=data, precision_plugin=precision)
-    module = SimpleNamespace(encoder=model.encoder, predictor=model.predictor, controller=lambda: model)
+    predictor = getattr(model, "predictor", None)
+    module = SimpleNamespace(encoder=model.encoder, predictor=predictor, controller=lambda: model)
     callback.finish(trainer, module)
     return torch.cat([weight.detach().flatten() for weight in part(model).parameters()])
 
 
-def controller() -> SemanticController:
-    torch.manual_seed(0)
-    return SemanticController(Architecture(widths=WIDTHS, embedding_dim=D, predictor_hidden_dim=16))
-
-
 def refine(path, entry):
-    return finished(RefinePredictor(2, 3, 4), controller(), path, lambda model: model.predictor)
+    return finished(RefinePredictor(2, 3, 4), tiny_controller.tiny(), path, lambda model: model.predictor)
 
 
 def probe(path, entry):
-    return finished(FitProbe(2), controller(), path, lambda model: model.probe)
+    return finished(FitProbe(2), tiny_controller.tiny(), path, lambda model: model.probe)
 
 
 def decoder(path, entry):
-    return finished(FitDecoder(2, 4), controller(), path, lambda model: model.decoder)
+    return finished(FitDecoder(2, 4), tiny_controller.tiny(), path, lambda model: model.decoder)
 
 
 def estimator(path, entry):
-    torch.manual_seed(0)
-    sizes = {"decoder_channels": (8, 4, 4, 4), "estimator_channels": (8, 8, 8)}
-    model = AutoencoderController(AutoencoderArchitecture(widths=WIDTHS, embedding_dim=D, **sizes))
-    model.predictor = None
-    return finished(FitEstimator(2, 4), model, path, lambda model: model.estimator)
+    return finished(FitEstimator(2, 4), tiny_controller.tiny_autoencoder(), path, lambda model: model.estimator)
 
 
 @pytest.mark.parametrize("drawn", [windows, rows, refine, probe, decoder, estimator])
@@ -140,6 +124,6 @@ def test_the_seed_of_the_run_moves_each_step(path, entry, monkeypatch, drawn):
 def test_a_step_of_the_actor_leaves_the_global_stream_alone(path, entry, monkeypatch):
     module = SemanticActor(entry, (16, 8), dropout=0.5)
     before = torch.get_rng_state()
-    batch = {"embedding": torch.ones(8, D), "expert_action": torch.ones(8, 1)}
+    batch = TensorDict({"embedding": torch.ones(8, D), "action": torch.ones(8, 1)}, [8])
     loss_of(module, batch, monkeypatch)
     assert torch.equal(torch.get_rng_state(), before)

@@ -12,9 +12,10 @@ class Known(NamedTuple):
 
     Attributes:
         age: [..., I] slots since the last delivery, counted before this slot (1 = delivered in the slot before).
-        snr: [..., I] linear SNR as known (this slot's, an older slot's, or the mean).
+        snr: [..., I] linear SNR that is expected, given what is known.
         success: [..., I] probability that a transmission arrives, given what is known.
-        above_threshold: [..., I] bool, whether the known SNR reaches the threshold (the gate gamma >= gamma_th).
+        above_threshold: [..., I] bool, whether the SNR may reach the threshold, given what is known: with perfect
+            knowledge the gate gamma >= gamma_th; a link that is not known for sure is not ruled out.
         candidate: [..., I] bool, devices that may be scheduled at all.
         budget: resource units in the slot, int or [...] int64.
         memory: [..., I] float64, what the scheduler returned in the slot before, zeros at first; it outlives episodes.

@@ -175,7 +175,7 @@ def none(known: Known):
 
 
 def gated(scheduler: SchedulerFunction) -> SchedulerFunction:
-    """The same scheduler, allowed to pick only devices whose known SNR reaches the threshold."""
+    """The same scheduler, allowed to pick only devices whose SNR may reach the threshold, given what is known."""
 
     def gated_scheduler(known: Known):
         return scheduler(known._replace(candidate=known.candidate & known.above_threshold))

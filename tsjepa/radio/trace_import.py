@@ -187,7 +187,9 @@ def draw(path: Path, logs: dict[str, Log]) -> None:
     for name, log in list(logs.items())[:LISTED]:
         if "delay_ms" in log.columns:
             delay = log.columns["delay_ms"]
-            delay_axis.hist(delay[np.isfinite(delay)], bins=60, histtype="step", label=Path(name).stem[-24:].lstrip("_"))
+            delay_axis.hist(
+                delay[np.isfinite(delay)], bins=60, histtype="step", label=Path(name).stem[-24:].lstrip("_")
+            )
         for column, style in (("rsrp_dbm", "solid"), ("sinr_db", "dashed")):
             if column in log.columns:
                 values = log.columns[column]

@@ -20,7 +20,7 @@ VERIFIED_SEEDS = 2
 NEEDED = ("seeds", "starts_per_seed", "slots", "frame_history", "optimal_policy", "codec", "blend")
 
 
-def zoo(action: Literal["list", "verify"] = "list", name: str | None = None, device: str = "cpu") -> None:
+def zoo(action: Literal["list", "verify"] = "list", name: str | None = None, *, device: str = "cpu") -> None:
     """Lists the pretrained models, or re-hashes them and closes their loops again on some of their card's starts.
 
     Args:
