@@ -145,7 +145,7 @@ def _speed(frames_per_second: float) -> list[tuple[str, str]]:
     rates = {name: gemm_rate(getattr(torch, name), device) for name in ("float32", "bfloat16")}
     chosen, seconds = main_job(device, frames_per_second)
     return [
-        ("products", ", ".join(f"{rate / 1e9:,.0f} GFLOP/s in {name}" for name, rate in rates.items())),
+        ("products", ", ".join(f"{rate / 1e9:,.3g} GFLOP/s in {name}" for name, rate in rates.items())),
         ("precision", describe(chosen, device)),
         ("estimate", f"make train-jepa takes about {max(1, round(seconds / 60))} min"),
     ]

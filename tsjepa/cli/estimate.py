@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from contextlib import redirect_stderr
+from io import StringIO
 from pathlib import Path
 
 import torch
@@ -19,7 +21,7 @@ from tsjepa.support.recipes import find_recipe
 from tsjepa.training.finish.refine import RefinePredictor, refine_predictor
 from tsjepa.training.jepa import TSJEPA
 
-LONG_ENOUGH_S = 0.05  # of one product; a shorter one says nothing, and the next is at most eight times as long
+LONG_ENOUGH_S = 0.02  # of one product; a shorter one says nothing, and the next is at most eight times as long
 RECIPE, DATA_RECIPE = "recipes/jepa.yaml", "recipes/data.yaml"
 WINDOWS = 8  # of a trial step, whose time is taken to grow with their number
 TRIALS = 3
@@ -53,9 +55,8 @@ def main_job(device: torch.device, frames_per_second: float) -> tuple[Precision,
     steps = recipe["trainer"]["max_epochs"] * sum(frames[name] for name in windows.splits) // windows.frames_per_batch
     chosen = choose(module.encoder, device)
     seconds = sum(frames.values()) / frames_per_second
-    seconds += (
-        steps * windows.frames_per_batch / (WINDOWS * windows.stacks) * step_seconds(module, windows, chosen, device)
-    )
+    trials = steps * windows.frames_per_batch / (WINDOWS * windows.stacks)
+    seconds += trials * step_seconds(module, windows, chosen, device)
     for callback in recipe["trainer"]["callbacks"]:
         if callback["class_path"].endswith("RefinePredictor"):
             refine = RefinePredictor(**callback.get("init_args", {}))
@@ -100,7 +101,8 @@ def refine_seconds(module: TSJEPA, refine: RefinePredictor, chosen: Precision, d
     embedded = TensorDict({"embedding": embedding, "action": action}, batch_size=[8, slots + 1])
     options = {"horizon": refine.horizon, "batch_size": refine.batch_size, "learning_rate": 1e-3, "seed": 0}
     context = {"forward_context": lambda: _autocast(chosen, device)}
-    return _seconds(lambda: refine_predictor(module.predictor, embedded, 2, **options, **context), device) / 2
+    with redirect_stderr(StringIO()):  # its progress bars
+        return _seconds(lambda: refine_predictor(module.predictor, embedded, 2, **options, **context), device) / 2
 
 
 def _autocast(chosen: Precision, device: torch.device) -> torch.autocast:
