@@ -21,7 +21,8 @@ class Known(NamedTuple):
         memory: [..., I] float64, what the scheduler returned in the slot before, zeros at first; it outlives episodes.
         demand: [..., I] int64 resource units that each device needs, or None: one each.
         urgency: [..., I] what each device says of its own need, >= 0, or None where devices say nothing.
-        weight: [..., I] priority, > 0, by which a device's gain is multiplied, or None: all alike.
+        weight: [..., I] priority, > 0, by which ``max_weight``, ``whittle`` and ``channel_aware`` multiply a device's
+            gain, or None: all alike.
         slot: int64 slots since the device's episode began, broadcast against [..., I], or None where no plant counts.
         signalling_bits: bits that were spent in this slot to know it, int or [..., I] int64.
     """
