@@ -1,4 +1,4 @@
-"""What a scheduler may know in a slot, as one value."""
+"""What a scheduler may know in a slot, and what may be believed of its links, as one value each."""
 
 from typing import NamedTuple
 
@@ -39,3 +39,17 @@ class Known(NamedTuple):
     weight: Tensor | None = None
     slot: Tensor | None = None
     signalling_bits: int | Tensor = 0
+
+
+class Link(NamedTuple):
+    """What is believed of each link in a slot, [..., I].
+
+    Attributes:
+        snr: expected linear SNR.
+        success: probability that a transmission arrives.
+        above_threshold: bool, whether it can arrive at all: the SNR may reach the threshold.
+    """
+
+    snr: Tensor
+    success: Tensor
+    above_threshold: Tensor
