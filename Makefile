@@ -6,11 +6,10 @@ VENV ?= .venv
 # Added to `pip install`, for example to choose where torch comes from.
 PIP_FLAGS ?=
 
-# What the targets run; for example: make train-jepa RECIPE=recipes/smoke.yaml
-RECIPE ?= recipes/jepa.yaml
-ACTOR_RECIPE ?= recipes/actor.yaml
-DATA_RECIPE ?= recipes/data.yaml
-EVALUATION_RECIPE ?= recipes/evaluate.yaml
+# A folder of small recipes over those of the main job; for example: make train-jepa OVER=recipes/smoke
+OVER ?=
+# The recipe $(1) and, where OVER has one of that name, the one over it.
+layers = --config recipes/$(1).yaml $(if $(wildcard $(OVER)/$(1).yaml),--config $(OVER)/$(1).yaml)
 
 # Python of the environment that has `tsjepa[bench]`, for the benchmarks beside other libraries; see peers.py.
 PEERS_PYTHON ?= $(BIN)/python
@@ -19,7 +18,7 @@ BENCHMARKS := camera training_step network fleet collection latency loading memo
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.setup-done
 
-.PHONY: help setup train-jepa train-actor train-supervised train-autoencoder data evaluate demo figures figures-check report test lint faults audit bench
+.PHONY: help setup train-jepa train-actor train-supervised train-autoencoder data evaluate demo figures figures-check report test test-fast lint faults audit bench
 
 help: ## print this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "%-18s %s\n", $$1, $$2}' Makefile
@@ -45,28 +44,28 @@ $(STAMP): pyproject.toml
 	@touch $@
 
 train-jepa: setup ## collect the data, train TS-JEPA and the actor, close the loop, print the final table
-	$(BIN)/tsjepa fit --config $(RECIPE)
-	$(BIN)/tsjepa fit --config $(ACTOR_RECIPE)
-	$(BIN)/tsjepa evaluate --config $(EVALUATION_RECIPE)
+	$(BIN)/tsjepa fit $(call layers,jepa)
+	$(BIN)/tsjepa fit $(call layers,actor)
+	$(BIN)/tsjepa evaluate $(call layers,evaluate)
 
 train-actor: setup ## train the semantic actor on the embeddings of a trained TS-JEPA
-	$(BIN)/tsjepa fit --config $(ACTOR_RECIPE)
+	$(BIN)/tsjepa fit $(call layers,actor)
 
 train-supervised: setup ## train the supervised baselines, of 2 and of 4 frames, and close the loop with each
 	$(BIN)/tsjepa fit --config recipes/supervised.yaml
-	$(BIN)/tsjepa evaluate --config $(EVALUATION_RECIPE) --model runs/supervised/model --output runs/supervised/evaluation
-	$(BIN)/tsjepa fit --config recipes/supervised-k4.yaml
-	$(BIN)/tsjepa evaluate --config $(EVALUATION_RECIPE) --model runs/supervised-k4/model --output runs/supervised-k4/evaluation
+	$(BIN)/tsjepa evaluate $(call layers,evaluate) --model runs/supervised/model --output runs/supervised/evaluation
+	$(BIN)/tsjepa fit --config recipes/supervised.yaml --config recipes/supervised-k4.yaml
+	$(BIN)/tsjepa evaluate $(call layers,evaluate) --model runs/supervised-k4/model --output runs/supervised-k4/evaluation
 
 train-autoencoder: setup ## train the generative baseline and close the loop with it
 	$(BIN)/tsjepa fit --config recipes/autoencoder.yaml
-	$(BIN)/tsjepa evaluate --config $(EVALUATION_RECIPE) --model runs/autoencoder/model --output runs/autoencoder/evaluation
+	$(BIN)/tsjepa evaluate $(call layers,evaluate) --model runs/autoencoder/model --output runs/autoencoder/evaluation
 
 data: setup ## collect the data sets from dm-control pixels
-	$(BIN)/tsjepa collect --config $(DATA_RECIPE)
+	$(BIN)/tsjepa collect $(call layers,data)
 
 evaluate: setup ## close the loop on held-out starts and print the table
-	$(BIN)/tsjepa evaluate --config $(EVALUATION_RECIPE)
+	$(BIN)/tsjepa evaluate $(call layers,evaluate)
 
 demo: setup ## a pretrained model controls cart-poles over a lossy link: a table, and a film in runs/demo
 	$(BIN)/tsjepa simulate --config recipes/demo.yaml
@@ -82,6 +81,9 @@ report: setup ## write docs/report.md and docs/report.html: each figure beside t
 
 test: setup ## run the unit tests and a smoke run of the whole chain
 	$(BIN)/python -m pytest
+
+test-fast: setup ## run the tests that take no longer than a few seconds each
+	$(BIN)/python -m pytest -m 'not slow'
 
 faults: setup ## kill every command fifty times and record what survives (about ten minutes)
 	$(BIN)/python tests/faults/kills.py --kills 50

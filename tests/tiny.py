@@ -38,8 +38,10 @@ def shrink(value):
     if not isinstance(value, dict):
         return value
     small = {key: SIZES[key] if key in SIZES and item is not None else shrink(item) for key, item in value.items()}
-    if "max_epochs" in small:
-        small["precision"] = "32-true"  # the same on every machine, and nothing to measure
+    if "default_root_dir" in small:
+        small |= {"precision": "32-true", "max_epochs": SIZES["max_epochs"]}  # the same on every machine
+    if isinstance(small.get("slots"), int):
+        small["slots"] = min(small["slots"], 100)
     if isinstance(small.get("steps"), int):
         small["steps"] = CALLBACK_STEPS
     return small
@@ -66,12 +68,34 @@ def write(folder: Path, name: str, recipe: dict) -> None:
     path.write_text(yaml.safe_dump(recipe))
 
 
-def command_of(name: str) -> str:
-    """The command that the head of the recipe tells the user to type."""
-    head = (ROOT / name).read_text().splitlines()[0]
-    found = re.search(rf"(?:tsjepa|lightning) (\w+) --config {re.escape(name)}", head)
-    assert found, f"the first line of {name} names no command that runs it: {head}"
-    return found[1]
+def command_of(name: str) -> list[str]:
+    """The words of the command that the head of the recipe tells the user to type, without the program's name."""
+    head = " ".join(line.lstrip("# ") for line in (ROOT / name).read_text().splitlines()[:2] if line.startswith("#"))
+    found = re.search(rf"(?:tsjepa|lightning) (\w+(?: --config [\w./-]+)*? --config {re.escape(name)})", head)
+    assert found, f"the head of {name} names no command that runs it: {head}"
+    return found[1].split()
+
+
+def layers(name: str) -> list[str]:
+    """The recipes that the command of :func:`command_of` lays over each other, the base first."""
+    return [word for word in command_of(name) if word.endswith(".yaml")]
+
+
+def merged(name: str) -> dict:
+    """The recipe as its command makes it of its layers; a class that is named anew takes its arguments along."""
+
+    def over(low, high):
+        if not (isinstance(low, dict) and isinstance(high, dict)) or "class_path" in high:
+            return high
+        return {
+            key: over(low[key], high[key]) if key in low and key in high else {**low, **high}[key]
+            for key in {**low, **high}
+        }
+
+    recipe = {}
+    for layer in layers(name):
+        recipe = over(recipe, load(layer))
+    return recipe
 
 
 def strings(value) -> set[str]:
@@ -84,7 +108,5 @@ def strings(value) -> set[str]:
 
 def exported(recipe: dict) -> str | None:
     """The folder in which a fit leaves its model."""
-    for callback in recipe.get("trainer", {}).get("callbacks", []):
-        if callback["class_path"].endswith("ExportModel"):
-            return callback["init_args"]["folder"]
-    return None
+    root = recipe.get("trainer", {}).get("default_root_dir")
+    return f"{root}/model" if root else None

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import torch
 
+from tsjepa.data import augmentation as augmentation_module
 from tsjepa.data.augmentation import LUMA, Augmentation
 from tsjepa.models.encoder import PIXEL_MEAN, PIXEL_STD, Encoder, patchify
 
@@ -106,3 +107,15 @@ def test_a_batch_mapped_in_parts_is_the_batch_mapped_at_once_bit_for_bit():
     offset = draws[:, None, :, 3].repeat(1, 1, 16).bfloat16()
     at_once = torch.baddbmm(offset, patches.view(len(patches), -1, 48).bfloat16(), matrix)
     assert torch.equal(ours, at_once.view(patches.shape))
+
+
+def test_processes_share_the_draws_of_one(monkeypatch):
+    """Colours and blur of a window are those that it has where one process has the whole batch."""
+    windows, stacks = 4, 2
+    patches = patchify(frames(windows * stacks)).unflatten(0, (windows, stacks))
+    augmentation = Augmentation(blur_sigma=(0.5, 1.5))
+    whole = augmentation(patches.flatten(0, 1), generator(), shared=stacks).unflatten(0, (windows, stacks))
+    for rank in (0, 1):
+        monkeypatch.setattr(augmentation_module, "rank_and_world_size", lambda rank=rank: (rank, 2))
+        part = augmentation(patches[rank::2].flatten(0, 1), generator(), shared=stacks)
+        torch.testing.assert_close(part, whole[rank::2].flatten(0, 1), atol=1e-5, rtol=1e-5)

@@ -1,9 +1,12 @@
+import subprocess
+import sys
+
 import pytest
 import torch
 from tensordict import TensorDict
 
-from tsjepa.data.windows import Window, WindowDataset, WindowSampler
-from tsjepa.models.encoder import unpatchify
+from tsjepa.data.windows import Window, WindowDataset, WindowSampler, patches_of
+from tsjepa.models.encoder import patchify, unpatchify
 
 
 def numbered_split(episodes: int = 3, frames: int = 20) -> TensorDict:
@@ -31,6 +34,51 @@ def test_the_episodes_of_a_second_split_are_numbered_on():
     dataset = WindowDataset([numbered_split(), second], stacks=2, frame_stack=1, frame_spacing=1)
     batch = dataset[Window(torch.tensor([4]), torch.tensor([3]), step=1)]
     assert batch["commands"][0, :, 0].tolist() == [1000 + 20 + 3]
+
+
+def test_a_batch_of_several_splits_takes_every_frame_from_its_own():
+    parts = [numbered_split(2), numbered_split(1), numbered_split(3)]
+    for index, part in enumerate(parts):
+        part["pixels"] += 100 * index
+    dataset = WindowDataset(parts, stacks=1, frame_stack=2, frame_spacing=1)
+    batch = dataset[Window(torch.tensor([3, 0, 2, 5, 1]), torch.tensor([4, 4, 19, 7, 1]), step=1)]
+    numbers = unpatchify(batch["patches"].flatten(0, 1))[..., 0, 0, 0].long()
+    assert numbers.tolist() == [[203, 204], [3, 4], [118, 119], [246, 247], [20, 21]]
+
+
+def test_patches_are_those_of_the_encoder():
+    frames = torch.randint(0, 256, (5, 64, 128, 3), dtype=torch.uint8, generator=torch.Generator().manual_seed(0))
+    assert torch.equal(patches_of(frames), patchify(frames[:, None]))
+
+
+READ_MORE_THAN_FITS = """
+import resource, sys
+import torch
+from tensordict import MemoryMappedTensor, TensorDict
+from tsjepa.data.windows import Window, WindowDataset
+
+episodes, frames = 800, 101  # 2 GB of pixels in a file with holes, which takes no room on the disk
+with open(sys.argv[1], "wb") as file:
+    file.truncate(episodes * frames * 64 * 128 * 3)
+pixels = MemoryMappedTensor.from_filename(sys.argv[1], torch.uint8, torch.Size((episodes, frames, 64, 128, 3)))
+action = torch.zeros(episodes, frames, 1)
+split = TensorDict({"pixels": pixels, "action": action, "expert_action": action}, batch_size=[episodes, frames])
+in_use = int(open("/proc/self/status").read().split("VmData:")[1].split()[0]) * 1024
+resource.setrlimit(resource.RLIMIT_DATA, (in_use + 2**29, -1))
+dataset = WindowDataset([split], stacks=8, frame_stack=2, frame_spacing=1)
+for start in range(0, episodes, 32):
+    batch = dataset[Window(torch.arange(start, start + 32), torch.full((32,), 50), step=4)]
+assert batch["patches"].shape == (32, 8, 16, 32, 96)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="limits the memory of a process as Linux does")
+def test_a_data_set_larger_than_memory_is_read(tmp_path):
+    """Half a gigabyte for a data set of two."""
+    program = [sys.executable, "-c", READ_MORE_THAN_FITS, str(tmp_path / "pixels.memmap")]
+    done = subprocess.run(program, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr[-500:]
 
 
 def sampler(**changes) -> WindowSampler:

@@ -2,52 +2,41 @@ import json
 
 import cv2
 import pytest
+import tiny_controller
 import torch
 from tensordict import TensorDict
 
-from tsjepa.evaluation.evaluate import FIRST_SLOT, angle_figures, evaluate, table
-from tsjepa.evaluation.open_loop import probed_prediction_error
-from tsjepa.evaluation.pictures import imagine
-from tsjepa.models import Architecture, AutoencoderArchitecture, AutoencoderController, SemanticController, entries
+from tsjepa import cli
+from tsjepa.evaluation.conditions import warn_of_another_renderer
+from tsjepa.evaluation.evaluate import evaluate
+from tsjepa.evaluation.films import imagine
+from tsjepa.evaluation.open_loop import command_error, probed_prediction_error
+from tsjepa.evaluation.summary import ERRORS, FIRST_LOST, table
+from tsjepa.models import entries
+from tsjepa.plants import CartPole, build_plant
+
+SMALL = {"periods": (1, 5, 0), "seeds": 2, "starts_per_seed": 6, "slots": 80}
 
 
 @pytest.fixture(scope="module")
 def model(tmp_path_factory):
-    torch.manual_seed(0)
-    sizes = Architecture(widths=(4, 8, 8), embedding_dim=16, predictor_hidden_dim=32, actor_hidden_dims=(32, 16))
-    model = SemanticController(sizes)
-    model.decoder.fitted.fill_(True)
-    return str(entries.save(model, tmp_path_factory.mktemp("model") / "tiny"))
+    return str(entries.save(tiny_controller.tiny(), tmp_path_factory.mktemp("model") / "tiny"))
 
 
-@pytest.fixture(scope="module", params=["supervised", "autoencoder"])
-def baseline(request, tmp_path_factory):
-    torch.manual_seed(0)
-    if request.param == "supervised":
-        sizes = Architecture(4, widths=(4, 8, 8), embedding_dim=16, actor_hidden_dims=(32, 16), has_predictor=False)
-        model = SemanticController(sizes)
-    else:
-        model = AutoencoderController(AutoencoderArchitecture(widths=(4, 8, 8), embedding_dim=16))
-        model.law.gain.fill_(-10.0)
-        model.law.position_clip.fill_(0.5)
-    return request.param, str(entries.save(model, tmp_path_factory.mktemp("baseline") / request.param))
+@pytest.fixture(scope="module")
+def evaluation(model, tmp_path_factory):
+    """The result, and the folder of its files."""
+    folder = tmp_path_factory.mktemp("evaluation")
+    return evaluate(model, output=str(folder), **SMALL, video=False), folder
 
 
-def options(output, **changes):
-    return {
-        "output": str(output),
-        "data": None,
-        "periods": (1, 5, 0),
-        "seeds": 2,
-        "starts_per_seed": 6,
-        "slots": 80,
-        **changes,
-    }
+def rows_of(result: dict) -> dict:
+    return {(row["controller"], row["update_every"]): row for row in result["closed_loop"]}
 
 
-def test_every_controller_has_a_row_with_its_score_and_its_bits(model, tmp_path, capsys):
-    result = evaluate(model, **options(tmp_path, video=False))
-    rows = {(row["controller"], row["update_every"]): row for row in result["closed_loop"]}
+def test_every_controller_has_a_row_with_its_score_and_its_bits(evaluation):
+    result, folder = evaluation
+    rows = rows_of(result)
     assert set(rows) == {
         ("expert, perfect feedback", 1),
         ("expert, plan sent once", "once"),
@@ -59,79 +48,164 @@ def test_every_controller_has_a_row_with_its_score_and_its_bits(model, tmp_path,
     assert perfect["failures"] == 0
     assert rows["expert, zero", "once"]["normalized_score"] < 0.5 < perfect["normalized_score"]
     assert all(len(row["score_by_slot"]) == 80 for row in rows.values())
-    assert rows["TS-JEPA", 5]["bits_per_step"] == 32 * 16 / 5
-    assert rows["expert, zero", 5]["bits_per_step"] == 4 * 32 / 5
+    assert rows["TS-JEPA", 5]["bits_per_step"] == pytest.approx(32 * tiny_controller.DIM / 5)
+    assert rows["expert, zero", 5]["bits_per_step"] == pytest.approx(4 * 32 / 5)
     # nothing disturbs these plants
     planned = rows["expert, plan sent once", "once"]["normalized_score"]
     assert planned == pytest.approx(perfect["normalized_score"], abs=0.02)
     assert len(result["optimal_score_by_slot"]) == 80
     once = rows["TS-JEPA", "once"]
-    assert len(once["angle_error_by_slot"]) == 80
-    assert 0 <= once[FIRST_SLOT] < 80
-    assert FIRST_SLOT not in rows["TS-JEPA", 5]
-    written = json.loads((tmp_path / "evaluation.json").read_text())
-    assert written["closed_loop"] == result["closed_loop"]
-    printed = capsys.readouterr().out
-    assert table(result) in printed
-    assert {path.name for path in tmp_path.iterdir()} == {"evaluation.json", "score.png", "horizon.png"}
+    assert len(once[ERRORS]) == 80
+    assert 0 <= once[FIRST_LOST] < 80
+    assert FIRST_LOST not in rows["TS-JEPA", 5]
+    assert {path.name for path in folder.iterdir()} == {"evaluation.json", "score.png", "horizon.png"}
 
 
+def test_a_result_says_all_that_it_depends_on(evaluation, model):
+    result, folder = evaluation
+    assert json.loads((folder / "evaluation.json").read_text()) == json.loads(json.dumps(result))
+    assert (result["seeds"], result["starts_per_seed"], result["slots"]) == ([0, 1], 6, 80)
+    assert (result["frame_history"], result["codec"], result["blend"]) == (2, "fp32", 1.0)
+    assert result["model_sha256"] == entries.fingerprint(model)
+    assert result["optimal_policy"] == CartPole.normaliser
+    assert result["camera"]["gl_renderer"] == CartPole().camera()["gl_renderer"]
+    assert isinstance(build_plant(result["plant"]), CartPole)
+
+
+def test_a_model_with_figures_is_evaluated_as_they_were_measured_and_without_a_data_set(model, tmp_path, capsys):
+    loaded = entries.load(model)
+    plant = {"class_path": "tsjepa.plants.CartPole", "init_args": {"process_noise_std": 0.1}}
+    measured = {"seeds": [0, 1], "starts_per_seed": 6, "slots": 90, "frame_history": 4, "plant": plant}
+    entry = entries.save(loaded, tmp_path / "entry", measured)
+    arguments = ["evaluate", str(entry), "--output", str(tmp_path / "out"), "--periods=[5]", "--video=false"]
+    assert cli.main(arguments) == 0
+    result = json.loads((tmp_path / "out" / "evaluation.json").read_text())
+    assert {key: result[key] for key in measured if key != "plant"} == {
+        k: v for k, v in measured.items() if k != "plant"
+    }
+    assert result["plant"]["init_args"]["process_noise_std"] == [0.1, 0.1]
+    assert "open_loop" not in result
+    assert "because no data set is given" in capsys.readouterr().out
+
+
+def test_the_plant_may_be_another_one(model, tmp_path):
+    plant = {"class_path": "tsjepa.plants.CartPole", "init_args": {"start_half_widths": [0.01, 0.01, 0.0, 0.0]}}
+    options = {**SMALL, "periods": (1,), "slots": 5, "video": False, "output": str(tmp_path)}
+    near = evaluate(model, plant, **options)
+    assert rows_of(near)["expert, perfect feedback", 1]["raw_score"] == 1.0
+    noisy = evaluate(model, plant, process_noise_std=3.0, **options)
+    assert rows_of(noisy)["expert, perfect feedback", 1]["raw_score"] < 1.0
+    assert noisy["plant"]["init_args"]["process_noise_std"] == [3.0, 3.0]
+
+
+def test_a_model_of_a_recording_needs_data_or_a_plant(tmp_path):
+    recorded = tiny_controller.tiny()
+    recorded.plant = None
+    entry = str(entries.save(recorded, tmp_path / "model"))
+    with pytest.raises(ValueError, match="trained on a recording: give --data"):
+        evaluate(entry, output=str(tmp_path / "out"))
+    assert not (tmp_path / "out").exists()
+    plant = {"class_path": "tsjepa.plants.CartPole", "init_args": {"start_half_widths": [0.01, 0.01, 0.0, 0.0]}}
+    result = evaluate(entry, plant, str(tmp_path / "out"), **{**SMALL, "periods": (1,), "slots": 5}, video=False)
+    assert ("TS-JEPA", 1) in rows_of(result)
+
+
+@pytest.mark.slow
 def test_the_same_evaluation_gives_the_same_figures_and_a_film(model, tmp_path):
-    first = evaluate(model, **options(tmp_path / "first", periods=(5,)))
-    again = evaluate(model, **options(tmp_path / "again", periods=(5,), video=False))
+    small = {**SMALL, "periods": (5,)}
+    first = evaluate(model, output=str(tmp_path / "first"), **small)
+    again = evaluate(model, output=str(tmp_path / "again"), **small, video=False)
     assert first["closed_loop"] == again["closed_loop"]
-    film = tmp_path / "first" / "loop.mp4"
-    capture = cv2.VideoCapture(str(film))
+    capture = cv2.VideoCapture(str(tmp_path / "first" / "loop.mp4"))
     assert capture.get(cv2.CAP_PROP_FRAME_COUNT) == 80
     assert capture.read()[1].shape == (3 * 64 + 12, 4 * 3 * 128, 3)
     assert cv2.imread(str(tmp_path / "first" / "inside.png")).shape == (5 * (3 * 64 + 12), 4 * 3 * 128, 3)
 
 
-def test_a_baseline_holds_its_command_and_has_no_figures_of_predictions(baseline, tmp_path, capsys):
-    name, entry = baseline
-    result = evaluate(entry, **options(tmp_path, slots=20, starts_per_seed=2))
-    rows = {row["update_every"]: row for row in result["closed_loop"] if row["controller"] == name}
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["supervised", "autoencoder"])
+def test_a_baseline_holds_its_command_and_has_no_figures_of_predictions(kind, tmp_path, capsys):
+    made = getattr(tiny_controller, f"tiny_{kind}")()
+    made.decoder.fitted.fill_(False) if kind == "supervised" else None
+    result = evaluate(str(entries.save(made, tmp_path / "model")), output=str(tmp_path / "out"), **SMALL)
+    rows = {row["update_every"]: row for row in result["closed_loop"] if row["controller"] == kind}
     assert set(rows) == {1, 5, "once"}
-    assert FIRST_SLOT not in rows["once"]
-    assert rows[5]["bits_per_step"] == 32 * 16 / 5
-    frames = rows[5].get("bits_per_step_as_frames")
-    assert frames == (pytest.approx(4 * 64 * 128 * 24 / 5) if name == "supervised" else None)
-    assert "decoder of this model was never trained" in capsys.readouterr().out
-    assert not (tmp_path / "loop.mp4").exists()
+    assert FIRST_LOST not in rows["once"]
+    assert rows[5]["bits_per_step"] == pytest.approx(32 * tiny_controller.DIM / 5)
+    assert ("decoder of this model was never trained" in capsys.readouterr().out) == (kind == "supervised")
+    assert (tmp_path / "out" / "loop.mp4").exists() == (kind == "autoencoder")
 
 
-def test_angle_figures_name_the_first_slot_whose_mean_error_is_too_large():
-    errors = torch.tensor([[0.0, 0.02], [0.0, 0.09], [0.02, 0.1], [0.0, 0.0]])
-    figures = angle_figures(errors)
-    assert figures[FIRST_SLOT] == 2
-    assert figures["angle_error_by_slot"] == pytest.approx([0.01, 0.045, 0.06, 0.0])
-    assert angle_figures(errors[:2])[FIRST_SLOT] is None
+def test_the_printed_table_has_every_row_and_the_open_loop():
+    watched = {"state": "elbow", "limit": 0.1, "unit": "rad"}
+    row = {"controller": "TS-JEPA", "update_every": "once", "normalized_score": 0.5, "interval_95": 0.1}
+    row |= {"raw_score": 0.2, "failures": 3, "starts": 9, "command_nmae": 0.01, "bits_per_step": 5.0}
+    row |= {"watched": watched, FIRST_LOST: 12}
+    printed = table({"closed_loop": [row], "open_loop": {"effective_rank": 7.5}}).splitlines()
+    assert "0.500 ± 0.100" in printed[1]
+    assert printed[2:] == ["  probed elbow more than 0.1 rad off: from slot 12", "effective_rank: 7.5"]
+    assert table({"closed_loop": [row | {FIRST_LOST: None}]}).splitlines()[-1].endswith("never")
 
 
-def test_imagining_lets_the_model_drive_itself():
-    class Model:
-        def act(self, belief):
-            return 2 * belief
+@pytest.mark.parametrize(
+    ("record", "warned"),
+    [
+        (None, False),
+        ({}, False),
+        ({"camera": {"gl_renderer": "softpipe"}}, True),
+        ({"camera": {"gl_renderer": "llvmpipe"}}, False),
+        ({"data_sets": [{"camera": {"gl_renderer": "softpipe"}}]}, True),
+    ],
+)
+def test_pictures_of_another_renderer_are_warned_of_in_one_line(record, warned, capsys):
+    warn_of_another_renderer({"gl_renderer": "llvmpipe"}, record)
+    said = capsys.readouterr().err
+    assert said.count("\n") == warned
+    assert ("softpipe" in said) == warned
+
+
+def test_imagining_lets_the_model_drive_itself_towards_its_set_points():
+    class Model(torch.nn.Module):
+        def act(self, belief, reference):
+            return 2 * belief + reference
 
         def predict(self, belief, command):
             return belief + command
 
-    assert torch.equal(imagine(Model(), torch.ones(2, 1), 3), torch.full((2, 1), 27.0))
+    ones = torch.ones(2, 1)
+    assert torch.equal(imagine(Model(), ones, 3, 0 * ones), torch.full((2, 1), 27.0))
+    assert torch.equal(imagine(Model(), ones, 2, ones), torch.full((2, 1), 13.0))
 
 
 def test_one_seed_gives_no_interval_and_is_refused(model, tmp_path):
     with pytest.raises(ValueError, match="seeds is 1; it has to be at least 2"):
-        evaluate(model, **options(tmp_path, seeds=1, video=False))
+        evaluate(model, output=str(tmp_path), **{**SMALL, "seeds": 1})
+
+
+def test_a_device_that_is_not_there_and_a_plant_that_does_not_fit_are_said_in_one_sentence(model, tmp_path, capsys):
+    for options, said in (
+        (["--device", "cuda:99"], "The device 'cuda:99' cannot be used here"),
+        (["--plant", "{class_path: tsjepa.plants.CartPole, init_args: {sampling_interval: 0.01}}"], "slot in seconds"),
+    ):
+        assert cli.main(["evaluate", model, "--output", str(tmp_path), *options]) == 2
+        complaint = capsys.readouterr().err
+        assert said in complaint
+        assert complaint.count("\n") == 1
 
 
 class Line(torch.nn.Module):
     """A model whose embedding is the state itself and moves by the command."""
+
+    spec = CartPole().spec
 
     def predictor(self, embedding, command):
         return embedding + command
 
     def probe(self, embedding):
         return embedding
+
+    def act(self, embedding, reference):
+        return embedding[:, :1] + reference
 
 
 def test_probed_prediction_error_of_a_perfect_prediction_and_of_a_copy():
@@ -142,3 +216,14 @@ def test_probed_prediction_error_of_a_perfect_prediction_and_of_a_copy():
     torch.testing.assert_close(predicted, torch.zeros(10))
     deviation = state.flatten(0, 1).std(0)[0]
     torch.testing.assert_close(copied, torch.arange(1.0, 11.0) / deviation)
+
+
+def test_commands_are_compared_with_the_experts_or_else_with_those_of_the_recording():
+    values = {"embedding": torch.zeros(3, 4), "action": torch.full((3, 1), 4.0)}
+    rows = TensorDict(values, batch_size=[3])
+    assert command_error(Line(), rows) == {"command_nmae": pytest.approx(4 / 40), "command_nmae_to": "action"}
+    rows["expert_action"] = torch.full((3, 1), -8.0)
+    expected = {"command_nmae": pytest.approx(8 / 40), "command_nmae_to": "expert_action"}
+    assert command_error(Line(), rows) == expected
+    rows["reference"] = torch.full((3, 1), 2.0)
+    assert command_error(Line(), rows)["command_nmae"] == pytest.approx(10 / 40)

@@ -1,7 +1,8 @@
 """The search for the largest fleet, on score curves that are known."""
 
 import pytest
-from tsjepa.evaluation.fleet_search import crossing, largest, search, table
+
+from tsjepa.evaluation.search import crossing, largest, search, table
 
 LIMITS = {"channel_aware": 47, "round_robin": 23, "oracle": 10_000, "none": 0}
 
@@ -36,12 +37,41 @@ def test_the_largest_fleet_is_found_to_the_device():
     lines = table(list(rows.values())).splitlines()
     assert len(lines) == 5
     assert any(">= 80" in line for line in lines)
+    assert rows["oracle"]["mean_bound"] == "at least"
+    assert rows["none"]["mean_bound"] == "at most"
+    assert rows["oracle"]["interval_95"] is rows["none"]["interval_95"] is None
+    assert rows["oracle"]["channel_aware_ahead_by"] is None
+
+
+def test_a_seed_that_never_crosses_bounds_the_mean_and_leaves_no_interval():
+    curves = {
+        "channel_aware": {10: [0.9, 0.9, 0.9], 20: [0.8, 0.6, 0.6]},  # the mean crosses, the first seed does not
+        "round_robin": {10: [0.9, 0.9, 0.9], 20: [0.6, 0.6, 0.6]},
+        "random": {10: [0.9, 0.6, 0.9], 20: [0.8, 0.6, 0.6]},
+    }
+    rows = {row["scheduler"]: row for row in largest(curves, 0.75)}
+    censored = rows["channel_aware"]
+    assert (censored["bound"], censored["mean_bound"]) == ("exact", "at least")
+    assert censored["bounds_per_seed"] == ["at least", "exact", "exact"]
+    assert censored["per_seed"] == pytest.approx([20, 15, 15])
+    assert censored["mean"] == pytest.approx(50 / 3)
+    assert censored["interval_95"] is None
+    assert rows["round_robin"]["interval_95"] == pytest.approx(0, abs=1e-9)
+    # by how much the one is ahead of the other is not known either
+    assert rows["round_robin"]["channel_aware_ahead_by"] is None
+    assert rows["random"]["bounds_per_seed"] == ["at least", "at most", "exact"]
+    assert rows["random"]["mean_bound"] is None
+    lines = {line.split()[0]: line for line in table(list(rows.values())).splitlines()}
+    assert ">= 16.7" in lines["channel_aware"]
+    assert "±" in lines["round_robin"]
+    assert lines["random"].split()[-1] == "-"
 
 
 def test_a_curve_is_followed_to_its_first_crossing():
-    assert crossing({10: 1.0, 20: 0.9, 30: 0.5, 40: 0.8}, 0.7) == pytest.approx(25)
-    assert crossing({10: 1.0, 20: 0.9}, 0.7) == 20
-    assert crossing({10: 0.2, 20: 0.1}, 0.7) == 10
+    size, bound = crossing({10: 1.0, 20: 0.9, 30: 0.5, 40: 0.8}, 0.7)
+    assert (size, bound) == (pytest.approx(25), "exact")
+    assert crossing({10: 1.0, 20: 0.9}, 0.7) == (20, "at least")
+    assert crossing({10: 0.2, 20: 0.1}, 0.7) == (10, "at most")
 
 
 @pytest.mark.parametrize("sizes", [[10], [20, 10], [10, 10], [0, 5]])

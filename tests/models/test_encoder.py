@@ -2,6 +2,7 @@ import os
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 import torch
 from torch.nn import functional as F
@@ -41,11 +42,12 @@ def test_normalisation_in_place_changes_neither_a_bit_nor_the_frames():
 
 
 def test_a_fleets_embeddings_in_bfloat16_agree_with_float32():
-    from tsjepa.envs import Renderer
+    from tsjepa.plants import CartPole
 
     model = tsjepa.load("tsjepa-cartpole")
-    poses = torch.rand(32, 2, generator=torch.Generator().manual_seed(0)).numpy() - 0.5
-    pictures = torch.from_numpy(Renderer().render(poses)).unflatten(0, (16, 2))
+    plant, rows = CartPole(0.02), np.arange(32)
+    scenes = plant.scene(plant.start(0, rows, 0 * rows), 0, rows, 0 * rows)
+    pictures = torch.from_numpy(plant.render(scenes)).unflatten(0, (16, 2))
     with torch.no_grad():
         exact = model.encode(pictures)
         with torch.autocast("cpu", torch.bfloat16):

@@ -60,6 +60,7 @@ def test_the_file_follows_the_sweep(folder):
     assert calls(folder) == [0, 1, 2, 3, 2]
 
 
+@pytest.mark.slow
 def test_processes_give_the_same_numbers_and_a_killed_worker_costs_its_point_alone(folder, tmp_path_factory):
     serial = tmp_path_factory.mktemp("serial")
     (folder / "kill").touch()
@@ -87,6 +88,19 @@ def test_points_are_evaluated_again_with_other_weights_and_wait_for_a_model_that
     digests["model-0"] = "ccc"
     assert again()[0]["weights"] == {"model-0": "ccc"}
     assert calls(folder) == [0, 1, 0]
+
+
+def test_points_that_train_are_evaluated_again_by_other_recipes_and_not_checked_against_them(folder, monkeypatch):
+    monkeypatch.chdir(folder)
+    (folder / "jepa.yaml").write_text("steps: 1")
+    points = [{"x": 0, "seeds": 2, "folder": str(folder), "jepa_recipe": "jepa.yaml"}]
+    records = sweep.run_sweep(toy_figure, points, folder / "results")
+    assert sweep.run_sweep(toy_figure, points, folder / "results") == records
+    assert len(sweep.check(toy_figure, records)) == 1
+    (folder / "jepa.yaml").write_text("steps: 2")
+    assert sweep.check(toy_figure, records) == []
+    assert sweep.run_sweep(toy_figure, points, folder / "results")[0]["weights"] != records[0]["weights"]
+    assert calls(folder) == [0, 0, 0]
 
 
 def test_a_check_repeats_the_quickest_point_and_sees_a_value_that_left_its_interval(folder):

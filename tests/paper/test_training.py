@@ -2,12 +2,12 @@
 
 import pytest
 import tiny
-import yaml
 
+from tsjepa.data.module import Trajectories
 from tsjepa.paper import dataset_size, target_snr, training
 from tsjepa.paper.command import points_of, recipe_settings
 
-RECIPES = ("recipes/smoke.yaml", "recipes/smoke-actor.yaml", "recipes/smoke-data.yaml")
+RECIPES = ("recipes/jepa.yaml", "recipes/actor.yaml", "recipes/data.yaml")
 BUDGET = {
     "jepa_recipe": RECIPES[0],
     "actor_recipe": RECIPES[1],
@@ -27,30 +27,32 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
-def test_a_point_trains_on_its_part_of_the_data_and_closes_its_loops(folder):
+@pytest.mark.slow
+def test_a_point_trains_on_its_part_of_the_data_and_closes_its_loops(folder, monkeypatch):
+    read = []
+    split = Trajectories.split
+    monkeypatch.setattr(
+        Trajectories, "split", lambda self, name: read.append((name, len(part := split(self, name)))) or part
+    )
     rows = training.trained_rows(POINT, [{"update_every": 1, "loss": 0.0}, {"update_every": 5, "loss": 0.5}])
     assert [(row["update_every"], row["seed"]) for row in rows] == [(1, 0), (1, 1), (5, 0), (5, 1)]
     assert ["nmae" in row for row in rows] == [True, True, False, False]
     assert all(0 <= row["failed"] <= 1 for row in rows)
     assert not (folder / "runs").exists()
-    parts = training.PartOfTrajectories(1, path="data/smoke")
-    assert len(parts.split("train")) == 1
-    assert len(parts.split("validation")) == 2
-    parts = training.PartOfPairs(2, 1, path="data/smoke")
-    assert (len(parts.split("train")), len(parts.split("actor_train"))) == (2, 1)
+    assert {("train", 1), ("actor_train", 1)} <= set(read)
+    assert max(count for _, count in read) == 1
 
 
-@pytest.mark.parametrize("name", ["recipes/jepa.yaml", "recipes/actor.yaml"])
-def test_a_recipe_is_cut_to_what_makes_the_model(name, tmp_path):
-    recipe = tiny.load(name)
-    training.shorten(recipe, tmp_path / "model", 7, {"RefinePredictor": 3, "FitProbe": 1})
-    trainer = recipe["trainer"]
-    callbacks = {callback["class_path"].rpartition(".")[2]: callback["init_args"] for callback in trainer["callbacks"]}
-    assert callbacks["ExportModel"] == {"folder": str(tmp_path / "model")}
-    assert callbacks.get("RefinePredictor", {"steps": 3})["steps"] == 3
-    assert set(callbacks) <= set(training.KEPT)
-    assert trainer["max_steps"] == 7
-    assert "runs" not in yaml.safe_dump(trainer)
+def test_a_recipe_is_cut_to_the_finishes_that_the_loop_needs():
+    shipped = tiny.load(RECIPES[0])["trainer"]["callbacks"]
+    kept = {
+        callback["class_path"].rpartition(".")[2]: callback["init_args"] for callback in training.finishes(shipped, 7)
+    }
+    assert set(kept) == set(training.FINISHES)
+    assert kept["RefinePredictor"]["steps"] == 7
+    (refine,) = [callback for callback in shipped if "Refine" in callback["class_path"]]
+    assert kept["RefinePredictor"] == refine["init_args"] | {"steps": 7}
+    assert training.finishes(tiny.load(RECIPES[1])["trainer"]["callbacks"], 7) == []
 
 
 def test_a_lower_target_leaves_fewer_trajectories():

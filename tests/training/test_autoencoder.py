@@ -1,10 +1,12 @@
 import copy
+from types import SimpleNamespace
 
 import pytest
+import tiny_controller
 import torch
 from torch.nn import functional as F
 
-from tsjepa.models import AutoencoderArchitecture, AutoencoderController, Decoder, Encoder
+from tsjepa.models import Decoder, Encoder, StateEstimator
 from tsjepa.models.encoder import patchify
 from tsjepa.training.autoencoder import Autoencoder, fit_estimator
 from tsjepa.training.finish.decoder import look_around
@@ -13,20 +15,18 @@ D = 8
 
 
 def test_the_estimator_learns_to_read_what_the_frozen_decoder_draws_and_nothing_else_changes():
+    model = tiny_controller.tiny_autoencoder()
     torch.manual_seed(0)
-    sizes = AutoencoderArchitecture(embedding_dim=D, decoder_channels=(16, 16, 8, 8), estimator_channels=(8, 16, 16))
-    model = AutoencoderController(sizes)
+    model.decoder, model.estimator = Decoder(D, 2, (16, 16, 8, 8)), StateEstimator(4, 2, (8, 16, 16), 64, 128)
     before = copy.deepcopy(model.state_dict())
     generator = torch.Generator().manual_seed(0)
     embedding = F.normalize(torch.randn(48, D, generator=generator), dim=-1)
     state = embedding[:, :4] * torch.tensor([1.0, 0.1, 5.0, 2.0]) + 3
-    fit_estimator(model, embedding, state, steps=60, batch_size=48, learning_rate=1e-2)
+    fit_estimator(model, embedding, state, steps=100, batch_size=48, learning_rate=1e-2)
     with torch.no_grad():
         error = (model.probe(embedding) - state).square().mean(0).sqrt() / state.std(0)
     assert (error < 0.5).all()
     changed = {name for name, value in model.state_dict().items() if not torch.equal(value, before[name])}
-    # statistics that nobody has set are not numbers, and those never equal themselves
-    changed -= {"law.gain", "law.position_clip", "code_low", "code_high"}
     assert changed and all(name.startswith("estimator.") for name in changed)
     assert not any(part.training for part in model.modules())
 
@@ -35,10 +35,11 @@ def test_reconstructing_lowers_the_loss_on_the_same_stacks():
     torch.manual_seed(0)
     encoder = Encoder(2, (4, 8, 8), D)
     module = Autoencoder(encoder, Decoder(D, 2, channels=(16, 16, 8, 8)))
+    module.model = SimpleNamespace(encoder=encoder, decoder=module.decoder)
     frames = torch.full((8, 2, 64, 128, 3), 60, dtype=torch.uint8)
     for index, stack in enumerate(frames):
         stack[:, 20:44, 12 * index : 12 * index + 24] = 255
-    look_around(module.model.decoder, frames[:, 1], contrast_floor=20.0)
+    look_around(module.decoder, frames[:, 1], contrast_floor=20.0)
     optimizer = torch.optim.AdamW(module.parameters(), 1e-2)
     losses = []
     for _ in range(25):

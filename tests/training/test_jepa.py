@@ -7,6 +7,7 @@ from torch.nn import functional as F
 
 from tsjepa.data.augmentation import Augmentation
 from tsjepa.models import Encoder, Predictor, rollout
+from tsjepa.support.spec import PlantSpec
 from tsjepa.training.jepa import TSJEPA
 from tsjepa.training.schedule import warmup_cosine
 
@@ -84,6 +85,44 @@ def test_one_step_gives_the_target_no_gradient_and_leaves_it_as_it_was(module, m
     assert all(parameter.grad is not None for parameter in module.predictor.parameters())
     # batch normalisation of the target neither reads nor counts the batch
     assert all(torch.equal(value, before[name]) for name, value in module.target_encoder.state_dict().items())
+
+
+@pytest.mark.parametrize("weight", ["variance_weight", "covariance_weight", "inverse_weight"])
+def test_without_a_term_every_parameter_still_has_a_gradient(monkeypatch, weight):
+    """Data parallelism waits for all of them."""
+    monkeypatch.setattr(TSJEPA, "log_terms", lambda *args: None)
+    module = TSJEPA(Encoder(2, (4, 8, 8), D), Predictor(D, 32), Augmentation(), **{weight: 0.0}).train()
+    patches = torch.randint(0, 256, (2, 3, 16, 32, 96), dtype=torch.uint8, generator=torch.Generator().manual_seed(0))
+    module.training_step({"patches": patches, "commands": torch.ones(2, 4, 1)}, 0).backward()
+    assert all(parameter.grad is not None for parameter in module.parameters() if parameter.requires_grad)
+
+
+def set_up(module, monkeypatch, action=None):
+    """The module with a trainer whose training split holds these commands [episodes, T + 1, 1]."""
+    spec = PlantSpec((-20.0,), (20.0,), 0.02, (64, 128), state_names=("x", "v")).to_dict()
+    data = SimpleNamespace(frame_stack=2, frame_spacing=1, stacks=4, metadata={"spec": spec}, splits=("train",))
+    data.split = {"train": {"action": action}}.__getitem__
+    monkeypatch.setattr(TSJEPA, "trainer", SimpleNamespace(datamodule=data))
+    module.setup("fit")
+
+
+def test_the_controller_is_one_and_holds_the_parts_that_are_trained(module, monkeypatch):
+    names, weights = set(module.state_dict()), {id(parameter) for parameter in module.parameters()}
+    set_up(module, monkeypatch)
+    controller = module.controller()
+    assert controller is module.controller()
+    assert controller.encoder is module.encoder and controller.predictor is module.predictor
+    # what is not trained here is neither optimized nor in a checkpoint
+    assert set(module.state_dict()) == names
+    assert {id(parameter) for parameter in module.parameters()} == weights
+
+
+def test_a_command_that_never_changes_is_scaled_by_one(module, monkeypatch):
+    set_up(module, monkeypatch, torch.full((3, 10, 1), 5.0))
+    module.on_fit_start()
+    assert module.predictor.command_mean == 5 and module.predictor.command_std == 1
+    loss = module.inverse_loss(unit(2, 3, D), torch.full((2, 2, 1), 5.0), 1)
+    assert loss.isfinite()
 
 
 def test_what_the_logger_takes_is_logged_and_an_epochs_last_step(module, monkeypatch):

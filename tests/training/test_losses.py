@@ -43,7 +43,7 @@ def test_covariance_loss_agrees_with_torch_cov():
 
 
 def test_inverse_dynamics_sees_both_embeddings_and_the_gap():
-    network = InverseDynamics(4, 8)
+    network = InverseDynamics(4, action_dim=1, hidden_dim=8)
     before, after = torch.randn(2, 3, 4, generator=torch.Generator().manual_seed(0))
     answer = network(before, after, gap=2)
     assert answer.shape == (3, 1)

@@ -5,6 +5,7 @@ import torch
 from torch import nn
 from torch.nn import functional as F
 
+from tsjepa.support.spec import PlantSpec
 from tsjepa.training import monitor
 from tsjepa.training.monitor import (
     CollapseError,
@@ -14,6 +15,8 @@ from tsjepa.training.monitor import (
     linear_probe_rmse,
     prediction_skill,
 )
+
+SPEC = PlantSpec(action_low=(-0.3,), action_high=(0.3,), slot=0.02, frame=(64, 128))
 
 
 def circle(episodes: int, slots: int) -> tuple[torch.Tensor, torch.Tensor]:
@@ -44,8 +47,8 @@ def test_effective_rank_of_isotropic_and_of_rank_one_data():
 
 def test_action_sensitivity_is_one_for_a_copy_and_the_cosine_of_twice_the_turn():
     embedding, _ = circle(2, 10)
-    assert action_sensitivity(Copy(), embedding).item() == pytest.approx(1)
-    assert action_sensitivity(Turn(), embedding, command=0.3).item() == pytest.approx(torch.tensor(0.6).cos().item())
+    assert action_sensitivity(Copy(), embedding, SPEC).item() == pytest.approx(1)
+    assert action_sensitivity(Turn(), embedding, SPEC).item() == pytest.approx(torch.tensor(0.6).cos().item())
 
 
 def test_skill_is_one_for_a_perfect_predictor_and_zero_for_a_copying_one():
@@ -66,11 +69,21 @@ def test_the_linear_probe_reads_a_state_that_is_linear_in_the_embedding():
     assert (linear_probe_rmse(embedding, noise) > 0.8).all()
 
 
+def test_a_single_trajectory_is_probed_by_its_halves():
+    embedding = F.normalize(torch.randn(1, 60, 8, generator=torch.Generator().manual_seed(0)), dim=-1)
+    state = embedding @ torch.randn(8, 4, generator=torch.Generator().manual_seed(1)) + 2
+    assert (linear_probe_rmse(embedding, state, ridge=1e-9) < 1e-3).all()
+    state[:, 30:] += 1
+    torch.testing.assert_close(
+        linear_probe_rmse(embedding, state, ridge=1e-9), torch.ones(4).double(), rtol=1e-2, atol=0
+    )
+
+
 @pytest.mark.parametrize(
     ("metrics", "sentence"),
     [
         ({"effective_rank": 1.2, "action_sensitivity": 0.5}, r"effective rank 1\.20 is below 2"),
-        ({"effective_rank": 9.0, "action_sensitivity": 0.99999}, r"copying: .* \+20 N and -20 N is 0\.99999"),
+        ({"effective_rank": 9.0, "action_sensitivity": 0.99999}, r"copying: .* extreme commands is 0\.99999"),
     ],
 )
 def test_a_collapse_stops_the_fit_with_the_measure_that_collapsed(monkeypatch, metrics, sentence):
@@ -83,7 +96,7 @@ def test_a_collapse_stops_the_fit_with_the_measure_that_collapsed(monkeypatch, m
         log_dict=lambda values, **kwargs: logged.update(values),
     )
     trainer = SimpleNamespace(
-        datamodule=SimpleNamespace(frame_spacing=1),
+        datamodule=SimpleNamespace(frame_spacing=1, spec=SPEC),
         state=SimpleNamespace(fn="fit"),
         sanity_checking=False,
         current_epoch=5,

@@ -1,9 +1,11 @@
+from types import SimpleNamespace
+
 import pytest
 import torch
 from tensordict import TensorDict
 from torch.nn import functional as F
 
-from tsjepa.models import Architecture, Predictor, SemanticController, StateProbe
+from tsjepa.models import Predictor, StateProbe
 from tsjepa.training.actor import imitation_pairs
 from tsjepa.training.finish.probe import fit_probe
 from tsjepa.training.finish.refine import refine_predictor
@@ -73,7 +75,7 @@ def test_refining_over_more_slots_than_there_are_is_refused(embedded):
 
 def test_imitation_pairs_are_those_of_a_naive_double_loop(embedded):
     torch.manual_seed(0)
-    model = SemanticController(Architecture(widths=(4, 8, 8), embedding_dim=D, predictor_hidden_dim=32))
+    model = SimpleNamespace(predictor=Predictor(D, 32))
     horizons = (0, 2, 2, 5)
     pairs = imitation_pairs(model, embedded, horizons)
     expected = []
@@ -83,7 +85,7 @@ def test_imitation_pairs_are_those_of_a_naive_double_loop(embedded):
                 for start in range(30 - ahead):
                     belief = embedded["embedding"][episode, start]
                     for slot in range(start, start + ahead):
-                        belief = model.predict(belief, embedded["action"][episode, slot])
+                        belief = model.predictor(belief, embedded["action"][episode, slot])
                     row = embedded[episode, start + ahead]
                     expected.append(torch.cat((belief, row["expert_action"], row["state"])))
     made = torch.cat((pairs["embedding"], pairs["expert_action"], pairs["state"]), dim=1)
@@ -92,7 +94,7 @@ def test_imitation_pairs_are_those_of_a_naive_double_loop(embedded):
 
 def test_imitation_pairs_refuse_a_horizon_as_long_as_the_trajectories(embedded):
     with pytest.raises(ValueError, match="30 slots does not fit"):
-        imitation_pairs(SemanticController(Architecture(widths=(4, 8, 8), embedding_dim=D)), embedded, (30,))
+        imitation_pairs(SimpleNamespace(predictor=Predictor(D, 32)), embedded, (30,))
 
 
 def test_the_probe_learns_a_state_that_the_embedding_holds():
@@ -100,7 +102,7 @@ def test_the_probe_learns_a_state_that_the_embedding_holds():
     embedding = F.normalize(torch.randn(400, D, generator=generator), dim=-1)
     state = embedding @ torch.randn(D, 4, generator=generator) * torch.tensor([1.0, 0.1, 5.0, 2.0]) + 3
     torch.manual_seed(0)
-    probe = StateProbe(D, 64)
+    probe = StateProbe(4, D, 64)
     fit_probe(probe, embedding, state, steps=200, batch_size=128)
     torch.testing.assert_close(probe.state_mean, state.mean(0))
     with torch.no_grad():

@@ -1,19 +1,18 @@
 import pytest
+import tiny_controller
 import torch
 
-from tsjepa.models import Architecture, Encoder, Predictor, SemanticController, entries
+from tsjepa.models import Encoder, Predictor, entries
 from tsjepa.training.pretrained import start_from
 
 
 @pytest.fixture(scope="module")
 def entry(tmp_path_factory) -> str:
-    torch.manual_seed(0)
-    folder = tmp_path_factory.mktemp("zoo") / "entry"
-    return str(entries.save(SemanticController(Architecture(widths=(4, 8, 8), embedding_dim=16)), folder))
+    return str(entries.save(tiny_controller.tiny(), tmp_path_factory.mktemp("zoo") / "entry"))
 
 
 def test_all_weights_come_from_the_entry_where_sizes_agree(entry):
-    encoder, predictor = Encoder(widths=(4, 8, 8), embedding_dim=16), Predictor(16)
+    encoder, predictor = Encoder(widths=(4, 8, 8), embedding_dim=8), Predictor(8, 16)
     start_from(entry, encoder=encoder, predictor=predictor)
     given = entries.load(entry)
     for part, module in (("encoder", encoder), ("predictor", predictor)):
@@ -31,4 +30,4 @@ def test_another_embedding_dimension_keeps_the_convolutions_and_draws_its_own_pr
 
 def test_an_encoder_that_would_start_from_nothing_is_refused(entry):
     with pytest.raises(ValueError, match="give it the widths and the frame_stack"):
-        start_from(entry, encoder=Encoder(widths=(6, 6, 6), embedding_dim=16))
+        start_from(entry, encoder=Encoder(widths=(6, 6, 6), embedding_dim=8))

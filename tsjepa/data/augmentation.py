@@ -13,10 +13,9 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from tsjepa.models.encoder import PATCH, PIXEL_MEAN, PIXEL_STD, patchify, unpatchify
+from tsjepa.models.encoder import LUMA, PATCH, PIXEL_MEAN, PIXEL_STD, patchify, unpatchify
 from tsjepa.support.parallel import rank_and_world_size
 
-LUMA = (0.299, 0.587, 0.114)  # ITU-R BT.601, the luma component that colour dropping keeps
 MID_GREY = 0.5  # contrast turns about it
 RGB_TO_YIQ = ((0.299, 0.587, 0.114), (0.5959, -0.2746, -0.3213), (0.2115, -0.5227, 0.3112))
 
@@ -59,30 +58,36 @@ class Augmentation(nn.Module):
         self.register_buffer("to_luma", affine(self.luma), persistent=False)
         self.register_buffer("normalize", affine(torch.diag(1 / std), (-mean / std).view(3, 1)), persistent=False)
 
-    def forward(self, patches: Tensor, generator: torch.Generator, shared: int = 1) -> Tensor:
+    def forward(
+        self, patches: Tensor, generator: torch.Generator, shared: int = 1, mix: Tensor | None = None
+    ) -> Tensor:
         """Augments and normalises stacks of frames.
 
         Args:
             patches: uint8 [N, H / 4, W / 4, 48 * frame_stack], from :func:`patchify`.
             generator: source of the draws, on the CPU.
             shared: this many consecutive samples share one draw (a window of one trajectory keeps its colours).
+            mix: [C, 3], ``Encoder.color_mix``: what is kept of the normalised colours; None for all three.
 
         Returns:
-            Patches of the same shape for ``Encoder.embed``; in the autocast dtype, else float32.
+            Patches [N, H / 4, W / 4, 16 * C * frame_stack] for ``Encoder.embed``; in the autocast dtype, else float32.
         """
         groups, device = len(patches) // shared, patches.device
         rank, world_size = rank_and_world_size()  # under data parallelism, this process's share of the batch's draws
         draws = self.draw(groups * world_size, generator)[rank::world_size].to(device)
+        if mix is not None:
+            draws = mix @ draws
+        colors = draws.shape[1]
         dtype = torch.get_autocast_dtype(device.type) if torch.is_autocast_enabled(device.type) else torch.float32
         if self.blur_sigma is not None:
             patches = patchify(self.blur(unpatchify(patches), generator, shared))
-        # one colour map for the 16 pixels of a patch: a block-diagonal 48x48 product keeps the matrix units busy
-        matrix = torch.zeros(groups, PATCH**2, 3, PATCH**2, 3, dtype=dtype, device=device)
+        # one colour map for the 16 pixels of a patch: a block-diagonal product of 48 rows keeps the matrix units busy
+        matrix = torch.zeros(groups, PATCH**2, 3, PATCH**2, colors, dtype=dtype, device=device)
         matrix.diagonal(dim1=1, dim2=3).copy_(draws[:, :, :3].transpose(1, 2)[..., None])
         offset = draws[:, None, None, :, 3].expand(-1, 1, PATCH**2, -1).reshape(groups, 1, -1).to(dtype)
         rows = patches.view(groups, -1, 3 * PATCH**2).to(dtype)
         mapped = torch.baddbmm(offset, rows, matrix.view(groups, 3 * PATCH**2, -1))
-        return mapped.view(patches.shape)
+        return mapped.view(*patches.shape[:3], -1)
 
     def draw(self, count: int, generator: torch.Generator) -> Tensor:
         """Random affine colour maps [count, 3, 4] from 0..255 RGB to normalised RGB."""

@@ -185,7 +185,7 @@ def far_end(
 
 
 def at_weights(model: nn.Module, method: Callable) -> Callable:
-    """``method`` of ``model`` for tensors that lie anywhere: computed where its weights lie, the result brought back."""
+    """``method`` of ``model`` for tensors anywhere: computed where its weights lie, and the result brought back."""
 
     def call(first: Tensor, *others: Tensor | None) -> Tensor:
         weight = next(model.parameters(), first)

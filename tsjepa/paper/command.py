@@ -32,8 +32,8 @@ def figures(
     Args:
         figure: name of one, all of them by default.
         settings: of its sweep; those of recipes/figures/FIGURE.yaml by default.
-        recompute: run the sweep: points that are recorded, with the same weights, are kept. Delete the figure's .json
-            file to run all of it anew.
+        recompute: run the sweep: points that are recorded, with the same weights and recipes, are kept. Delete the
+            figure's .json file to run all of it anew.
         check: run the quickest recorded point of each sweep again, and fail unless it lies in its recorded interval.
         launcher: one point after the other, over processes, or over a Ray cluster (extra `ray`).
         workers: processes at a time, by default one a core.
@@ -90,7 +90,7 @@ def check_all(names: tuple[str, ...], folder: str, launcher: str) -> None:
     for name in names:
         rows = check_figure(module_of(name), store.read(folder, name), launcher)
         if not rows:
-            print(f"{name}: nothing recorded that could be repeated here.")
+            print(f"{name}: nothing is recorded with the weights and recipes that are here, so nothing is repeated.")
         for row in rows:
             print(
                 f"{name:<20}{row['measure']:<18}recorded {row['recorded']:>10.4g} ± {row['interval_95']:<9.3g} now "

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from hashlib import sha256
 from pathlib import Path
 from types import ModuleType
 
@@ -14,6 +15,7 @@ from tsjepa.paper import store
 from tsjepa.paper.launchers import launch
 from tsjepa.support.files import exclusive
 from tsjepa.support.provenance import provenance
+from tsjepa.support.recipes import find_recipe
 
 HASH_DIGITS = 12
 SLACK = 1e-3  # relative; what another processor's arithmetic may change where the interval is narrower
@@ -22,7 +24,7 @@ SLACK = 1e-3  # relative; what another processor's arithmetic may change where t
 def run_sweep(
     module: ModuleType, points: list[dict], folder: str | Path, launcher: str = "serial", workers: int = 2
 ) -> list[dict]:
-    """Evaluates the points that are not recorded yet, or were with other weights; returns all records.
+    """Evaluates the points that are not recorded yet, or were with other weights or recipes; returns all records.
 
     The file follows the sweep: points that it no longer has are dropped. Points whose model the zoo lacks are left out
     and named in one sentence.
@@ -87,13 +89,18 @@ def weights_of(model: str) -> str | None:
 
 
 def all_weights(point: dict) -> dict[str, str | None]:
-    """The weights that a point is evaluated with."""
-    return {model: weights_of(model) for model in models_of(point)}
+    """The weights that a point is evaluated with, or the recipes that it trains by: first digits of their hashes."""
+    recipes = [point[name] for name in ("jepa_recipe", "actor_recipe") if name in point]
+    digests = {name: sha256(Path(find_recipe(name)).read_bytes()).hexdigest()[:HASH_DIGITS] for name in recipes}
+    return {model: weights_of(model) for model in models_of(point)} | digests
 
 
 def check(module: ModuleType, records: list[dict], launcher: str = "serial") -> list[dict]:
-    """Evaluates the quickest recorded point again; one row per measure: recorded interval, value now, agreement."""
-    able = [record for record in records if None not in all_weights(record["point"]).values()]
+    """Evaluates the quickest recorded point again; one row per measure: recorded interval, value now, agreement.
+
+    Points that were recorded with other weights or recipes than there are now are left out.
+    """
+    able = [record for record in records if record["weights"] == all_weights(record["point"])]
     if not able:
         return []
     record = min(able, key=lambda record: record["seconds"])

@@ -6,49 +6,16 @@ import tempfile
 from pathlib import Path
 
 import yaml
-from tensordict import TensorDictBase
+from filelock import FileLock
 
 from tsjepa.data.module import Trajectories
 from tsjepa.paper.rows import command_rows, expert_embeddings, load, loop_rows
 from tsjepa.support.recipes import find_recipe
-from tsjepa.training.imitation_data import ImitationPairs
 from tsjepa.training.monitor import effective_rank
 from tsjepa.training.run import run_lightning
 
-KEPT = ("CentreEmbedding", "RefinePredictor", "FitProbe", "FitCodec", "ExportModel")  # callbacks that make the model
+FINISHES = ("CentreEmbedding", "RefinePredictor")  # callbacks of a recipe without which the loop is another one
 FIELDS = ("seeds", "starts", "slots", "process_noise_std")
-
-
-class PartOfTrajectories(Trajectories):
-    """The first so many training trajectories, for everything that a fit does with them.
-
-    Args:
-        train_episodes: how many.
-        kwargs: see :class:`Trajectories`.
-    """
-
-    def __init__(self, train_episodes: int, **kwargs) -> None:
-        super().__init__(**kwargs)
-        self.part = {"train": train_episodes}
-
-    def split(self, name: str) -> TensorDictBase:
-        return super().split(name)[: self.part.get(name)]
-
-
-class PartOfPairs(ImitationPairs):
-    """The same for the actor.
-
-    Args:
-        train_episodes, actor_episodes: how many trajectories of either split.
-        kwargs: see :class:`ImitationPairs`.
-    """
-
-    def __init__(self, train_episodes: int, actor_episodes: int, **kwargs) -> None:
-        super().__init__(**kwargs)
-        self.part = {"train": train_episodes, "actor_train": actor_episodes}
-
-    def split(self, name: str) -> TensorDictBase:
-        return super().split(name)[: self.part.get(name)]
 
 
 def trained_rows(point: dict, loops: list[dict]) -> list[dict]:
@@ -83,55 +50,59 @@ def trained_rows(point: dict, loops: list[dict]) -> list[dict]:
 
 def train(point: dict, folder: Path) -> Path:
     """The folder of the trained controller; see :func:`trained_rows`."""
-    jepa = yaml.safe_load(Path(find_recipe(point["jepa_recipe"])).read_text())
-    part = {"train_episodes": point["train_episodes"]}
-    shorten(jepa, folder / "jepa", point["jepa_steps"], {"RefinePredictor": point["predictor_steps"]})
-    use(jepa, PartOfTrajectories, part | {"seed": point["training_seed"]})
-    fit(jepa, folder / "jepa.yaml", point["training_seed"])
-    actor = yaml.safe_load(Path(find_recipe(point["actor_recipe"])).read_text())
-    shorten(actor, folder / "actor", point["actor_steps"], {"FitProbe": 1})
-    use(actor, PartOfPairs, part | {"actor_episodes": point["actor_episodes"], "seed": point["training_seed"]})
-    actor["model"]["init_args"]["pretrained"] = str(folder / "jepa")
-    fit(actor, folder / "actor.yaml", point["training_seed"])
-    return folder / "actor"
+    jepa = {"data": {"init_args": {"episodes": point["train_episodes"]}}}
+    fit(point["jepa_recipe"], jepa, folder / "jepa", point["jepa_steps"], point)
+    actor = {
+        "model": {"init_args": {"pretrained": str(folder / "jepa" / "model")}},
+        "data": {"init_args": {"episodes": point["actor_episodes"], "splits": ["actor_train"]}},
+    }
+    fit(point["actor_recipe"], actor, folder / "actor", point["actor_steps"], point)
+    return folder / "actor" / "model"
 
 
-def shorten(recipe: dict, model: Path, steps: int, callback_steps: dict[str, int]) -> None:
-    """Cuts a recipe, in place, to what makes the model: no validation, no logs, no checkpoints."""
-    callbacks = []
-    for callback in recipe["trainer"]["callbacks"]:
-        name = callback["class_path"].rpartition(".")[2]
-        if name in KEPT:
-            arguments = callback.get("init_args", {})
-            arguments |= {"steps": callback_steps[name]} if name in callback_steps else {}
-            arguments |= {"folder": str(model)} if name == "ExportModel" else {}
-            callbacks.append({"class_path": callback["class_path"], "init_args": arguments})
-    recipe["trainer"] |= {
-        "callbacks": callbacks,
+def fit(recipe: str, changes: dict, root: Path, steps: int, point: dict) -> None:
+    """Runs a recipe as the command line does, cut to what makes the model: no validation, no logs, no checkpoints.
+
+    Args:
+        recipe: its path.
+        changes: of the model and its data.
+        root: folder of the result.
+        steps: of the optimiser.
+        point: of which the ``training_seed`` and the ``predictor_steps`` are taken.
+    """
+    shipped = yaml.safe_load(Path(find_recipe(recipe)).read_text())
+    prepare(shipped["data"]["init_args"])
+    changes["trainer"] = {
+        "default_root_dir": str(root),
+        "callbacks": finishes(shipped["trainer"]["callbacks"], point["predictor_steps"]),
         "max_epochs": -1,
         "max_steps": steps,
         "limit_val_batches": 0,
         "logger": False,
         "enable_checkpointing": False,
         "enable_progress_bar": False,
-        "default_root_dir": str(model.parent),
     }
+    overlay = root.with_suffix(".yaml")
+    overlay.write_text(yaml.safe_dump(changes))
+    run_lightning(
+        "fit", ["--config", recipe, "--config", str(overlay), "--seed_everything", str(point["training_seed"])]
+    )
 
 
-def use(recipe: dict, data: type, arguments: dict) -> None:
-    """Replaces the data module of a recipe, in place, by one that takes part of the data."""
-    recipe["data"]["class_path"] = f"{data.__module__}.{data.__qualname__}"
-    recipe["data"]["init_args"] |= arguments
+def finishes(callbacks: list[dict], predictor_steps: int) -> list[dict]:
+    """Those of a recipe's callbacks that the loop needs, the predictor's with so many steps."""
+    kept = []
+    for callback in callbacks:
+        name = callback["class_path"].rpartition(".")[2]
+        if name in FINISHES:
+            steps = {"steps": predictor_steps} if name == "RefinePredictor" else {}
+            kept.append({**callback, "init_args": callback.get("init_args", {}) | steps})
+    return kept
 
 
-def fit(recipe: dict, path: Path, seed: int) -> None:
-    """Runs a recipe as the command line does; the data set is collected before, by one process at a time."""
-    from filelock import FileLock
-
-    arguments = recipe["data"]["init_args"]
-    data = Path(arguments["path"])
-    data.parent.mkdir(parents=True, exist_ok=True)
-    with FileLock(data.with_name(f".{data.name}.figures.lock")):
-        Trajectories(path=arguments["path"], collect=arguments["collect"]).prepare_data()
-    path.write_text(yaml.safe_dump(recipe | {"seed_everything": seed}))
-    run_lightning("fit", ["--config", str(path)])
+def prepare(data: dict) -> None:
+    """Collects a recipe's data set where it is absent, by one process at a time: points may be spread over several."""
+    path = Path(data["path"])
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with FileLock(path.with_name(f".{path.name}.figures.lock")):
+        Trajectories(path=data["path"], collect=data["collect"]).prepare_data()

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 import mujoco
 import numpy as np
 
-from tsjepa.plants.joints import DISPLACEMENTS, HINGE, SLIDE, camera_pose, names_of
+from tsjepa.plants.joints import DISPLACEMENTS, FREE, HINGE, SLIDE, camera_pose, names_of
 from tsjepa.plants.lens import CORNERS, View
 from tsjepa.plants.renderer import moving_geoms
 
@@ -17,7 +17,6 @@ FOVY = 25.0  # degrees
 # Candidates, the plainest first: a later one has to show more.
 DIRECTIONS = list(itertools.product((0.0, 20.0, 45.0, 90.0), (0.0, 90.0, 45.0)))  # pitch, yaw
 ALL_ROUND = math.pi / 2  # rad, how far a joint without limits is taken to turn
-ASIDE = 0.3  # m, how far it is taken to slide
 NUDGE = 1e-3  # m or rad
 MARGIN = 1.1  # of what is seen around what has to be
 
@@ -37,17 +36,24 @@ def named_view(model: mujoco.MjModel, camera: str | int, positions: Sequence[flo
 
 
 def visited(model: mujoco.MjModel, pose: np.ndarray, limits: Mapping[str, float]) -> np.ndarray:
-    """Poses [P, nq] to show: ``pose``, and each joint's ends, by ``limits``, its own range, or a guess."""
+    """Poses [P, nq] to show: ``pose``, and each joint's ends, by ``limits``, its own range, or a guess.
+
+    A machine that is free to go anywhere is shown as far as it is large, so that it fills a part of the picture.
+    """
     poses, names = [pose], names_of(model, DISPLACEMENTS)[0]
+    corners = _corners(model, mujoco.MjData(model), moving_geoms(model), pose)
+    size = float((corners.max(0) - corners.min(0)).max())
     for dof, name in enumerate(names):
-        joint = int(model.dof_jntid[dof])
-        turns = int(model.jnt_type[joint]) == HINGE or dof - model.jnt_dofadr[joint] >= 3
-        low, high = -ALL_ROUND if turns else -ASIDE, ALL_ROUND if turns else ASIDE
+        joint, kind = int(model.dof_jntid[dof]), int(model.jnt_type[model.dof_jntid[dof]])
+        slides = kind == SLIDE or (kind == FREE and dof - model.jnt_dofadr[joint] < 3)
+        most = size if slides else ALL_ROUND
+        ends = (-most, most)
         if name in limits:
-            low, high = -limits[name], limits[name]
-        elif model.jnt_limited[joint] and int(model.jnt_type[joint]) in (HINGE, SLIDE):
-            low, high = model.jnt_range[joint] - pose[model.jnt_qposadr[joint]]
-        for amount in (low, high):
+            most = min(most, limits[name]) if kind == FREE else limits[name]
+            ends = (-most, most)
+        elif model.jnt_limited[joint] and kind in (HINGE, SLIDE):
+            ends = model.jnt_range[joint] - pose[model.jnt_qposadr[joint]]
+        for amount in ends:
             change, moved = np.zeros(model.nv), pose.copy()
             change[dof] = amount
             mujoco.mj_integratePos(model, moved, change, 1.0)

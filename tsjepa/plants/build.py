@@ -11,8 +11,6 @@ from torch import nn
 from tsjepa.plants.plant import Plant
 from tsjepa.support.description import build, describe
 
-METHODS = ("start", "advance", "state", "scene", "render", "score", "failed", "experts")
-
 
 def build_plant(description: Mapping[str, Any], trusted: bool = False, **overrides: Any) -> Plant:
     """The plant of ``{"class_path": ..., "init_args": {...}}``.
@@ -53,4 +51,4 @@ def describe_plant(plant: Plant) -> dict[str, Any]:
 
 def _part_of_a_plant(kind: type) -> bool:
     """A plant, or a policy among its arguments."""
-    return issubclass(kind, nn.Module) or all(callable(getattr(kind, name, None)) for name in METHODS)
+    return issubclass(kind, (nn.Module, Plant))

@@ -26,7 +26,7 @@ GOAL_RANGE = 0.8  # m, of the set-points that trajectories of the training data 
 # A rolled camera meets every edge at many sub-pixel phases, and four samples on a doubled grid make sixteen a pixel:
 # two frames 40 ms apart then give velocity to 5 mm/s, against 35 for an upright view with four samples, 49 with none.
 # The width just holds the cart and the leaning pole at |x| <= 1.3 m, |theta| <= 0.35 rad. The eyes stand apart by
-# MuJoCo's default, because the shipped models have learned from such pictures; it moves an edge by half a pixel at most.
+# MuJoCo's default, because the shipped models have learned from such pictures; it moves an edge by half a pixel.
 VIEW = View(position=(0.04, -4.0, 1.45), fovy=24.4, roll=5.0, eyes=0.068)
 
 

@@ -45,8 +45,8 @@ def check_equilibrium(later: np.ndarray, names: Sequence[str], stands: bool) -> 
     """
     if not stands:
         raise ValueError(
-            "The machine is in the air and falls, so that there is nothing to balance about: give settle, the seconds in "
-            "which it comes to rest on the ground, or a pose in which it stands."
+            "The machine is in the air and falls: give settle, the seconds in which it comes to rest on the ground, or "
+            "a pose in which it stands."
         )
     worst = int(np.abs(later).argmax())
     if not np.abs(later[worst]) <= DRIFT:
@@ -91,13 +91,18 @@ def balancing_gain(
         ValueError: something that no command moves grows by itself.
     """
     basis = _reachable(a, b)
+    if not basis.shape[1]:
+        raise ValueError(
+            "No command in action moves anything in state: name an actuator or a coordinate that it moves."
+        )
     rest = torch.linalg.qr(torch.cat((basis, torch.eye(len(a), dtype=a.dtype)), dim=1)).Q[:, basis.shape[1] :]
     values, vectors = torch.linalg.eig(rest.T @ a @ rest)
     if len(values) and (worst := int(values.abs().argmax())) >= 0 and values[worst].abs() > GROWING:
         mode = (rest.to(vectors) @ vectors[:, worst]).abs()
         raise ValueError(
             f"It cannot be balanced, because it is not controllable: {names[int(mode.argmax())]} grows "
-            f"{float(values[worst].abs()):.3g}-fold in a slot, and no command in action moves it; name an actuator that does."
+            f"{float(values[worst].abs()):.3g}-fold in a slot, and no command in action moves it; name an actuator "
+            "that does."
         )
     weights = basis.T @ torch.diag(torch.as_tensor(state_weights, dtype=a.dtype)) @ basis
     return lqr_gain(basis.T @ a @ basis, basis.T @ b, weights, action_weights) @ basis.T
@@ -105,15 +110,10 @@ def balancing_gain(
 
 def _reachable(a: Tensor, b: Tensor) -> Tensor:
     """Orthonormal basis [n, k] of what commands move sooner or later."""
-    basis = torch.zeros(len(a), 0, dtype=a.dtype)
-    new = b
+    basis, new = torch.zeros(len(a), 0, dtype=a.dtype), b / b.norm().clamp(min=REACHED)
     while new.shape[1] and basis.shape[1] < len(a):
         new = new - basis @ (basis.T @ new)
         left, sizes, _ = torch.linalg.svd(new, full_matrices=False)
-        left = (
-            left[:, sizes > REACHED * max(float(sizes.max()), 1e-300)]
-            if not basis.shape[1]
-            else left[:, sizes > REACHED]
-        )
+        left = left[:, sizes > REACHED]
         basis, new = torch.cat((basis, left), dim=1), a @ left
     return basis

@@ -36,9 +36,9 @@ class MuJoCo(MujocoPlant):
         score: limit of each coordinate that counts: a slot scores 1 where all are within, else 0.
         failure: limit of each coordinate beyond which the machine is lost.
         camera: "auto", or the name of one of the model's.
-        expert: "lqr", a module, or the file of a policy (see :func:`tsjepa.plants.policies.load_policy`); None for none.
-        integrator: Euler, RK4, implicit or implicitfast, with steps of at most 2 ms; the file's own, with its own steps,
-            by default.
+        expert: "lqr", a module or the file of a policy (:func:`tsjepa.plants.policies.load_policy`), or None for none.
+        integrator: Euler, RK4, implicit or implicitfast, with steps of at most 2 ms; by default the file's own, with
+            its own steps.
         settle: seconds for which the machine is left alone before the pose is taken, for one that starts in the air.
         pose: before that, the joints' positions: a keyframe's name, or changes to the file's pose by coordinate.
         frame: height and width of a picture in pixels.

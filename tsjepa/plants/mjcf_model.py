@@ -75,7 +75,7 @@ def settled(model: mujoco.MjModel, pose: str | Mapping[str, float] | None, secon
         mujoco.mj_step(model, data)
     if not np.isfinite(data.qpos).all() or any(warning.number for warning in data.warning[5:]):
         raise ValueError(
-            f"The machine does not come to rest within {seconds:g} s: its simulation diverges; choose another integrator."
+            f"The machine does not come to rest in {seconds:g} s: its simulation diverges; choose another integrator."
         )
     data.qvel[:], data.act[:] = 0.0, 0.0
     mujoco.mj_forward(model, data)

@@ -104,10 +104,6 @@ class Pendulum(MujocoPlant):
         """1 within 8 degrees of the top, else 0."""
         return state[..., 0] >= UPRIGHT
 
-    def failed(self, state):
-        """Never: it comes up again from everywhere."""
-        return state[..., 0] > math.inf
-
     def linear(self) -> None:
         """None: a state on a circle has no linear model."""
         return None

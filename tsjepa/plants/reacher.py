@@ -42,7 +42,7 @@ def finger(state):
 class ReachingArm(nn.Module):
     """Inverse kinematics, and a proportional-derivative law to the angles that they give.
 
-    Two postures reach every goal; it keeps the one to whose side the wrist is bent. The mean of the two reaches nothing.
+    Two postures reach every goal, and their mean reaches nothing; it keeps the one to whose side the wrist is bent.
     """
 
     def forward(self, state: Tensor, reference: Tensor) -> Tensor:
@@ -115,10 +115,6 @@ class Reacher(MujocoPlant):
         """1 where the finger is within 2 cm of the goal, else 0."""
         x, y = finger(state)
         return (x - reference[..., 0]) ** 2 + (y - reference[..., 1]) ** 2 <= REACH**2
-
-    def failed(self, state):
-        """Never."""
-        return state[..., 0] > math.inf
 
     def linear(self) -> None:
         """None: the goal is everywhere."""

@@ -28,7 +28,7 @@ def view_camera(model: mujoco.MjModel) -> int:
 
 
 def geom_colors(model: mujoco.MjModel, geoms: list[int]) -> np.ndarray:
-    """RGB float32 [len(geoms), 3] as MuJoCo takes it: the geom's own, unless that is the default and it has a material."""
+    """RGB float32 [len(geoms), 3] as MuJoCo takes it: the material's, where the geom has one and names no colour."""
     colors = model.geom_rgba[geoms].copy()
     plain = (colors == DEFAULT_RGBA).all(axis=1) & (model.geom_matid[geoms] >= 0)
     colors[plain] = model.mat_rgba[model.geom_matid[geoms][plain]]

@@ -98,8 +98,8 @@ class Suite(MujocoPlant):
         drawn = [_model_bytes(environment, seed) for seed in (1, 2)]
         if drawn[0] != drawn[1]:
             raise ValueError(
-                f"The task {self.domain}, {self.task} draws part of its model (such as a target) anew in every episode, "
-                "which is no state of a plant; write a plant in which that is the reference."
+                f"The task {self.domain}, {self.task} draws part of its model (a target, say) anew in every episode; "
+                "no state of a plant can hold that: write a plant in which it is the reference."
             )
         return environment
 
@@ -128,10 +128,6 @@ class Suite(MujocoPlant):
         with physics.reset_context():
             physics.data.qpos[:], physics.data.qvel[:] = state[: self.model.nq], state[self.model.nq :]
         return float(np.clip(self._environment.task.get_reward(physics), 0.0, 1.0))
-
-    def failed(self, state):
-        """Never."""
-        return state[..., 0] > np.inf
 
     def linear(self) -> None:
         """None: the goal is the task's own."""

@@ -62,7 +62,7 @@ class ImitationPairs(Trajectories):
     """Pairs of embedding and expert's command, made once with the model that is being trained.
 
     Args:
-        path, collect: see :class:`Trajectories`.
+        path, collect, episodes: see :class:`Trajectories`.
         batch_size: pairs per step (200 in the paper).
         horizons: slots ahead at which embeddings are predicted; 0 is received, and one listed twice counts twice.
         splits: of the data set that the actor learns from.
@@ -78,8 +78,9 @@ class ImitationPairs(Trajectories):
         splits: Sequence[str] = ("actor_train",),
         validation: str = "validation",
         test: str = "actor_test",
+        episodes: int | None = None,
     ) -> None:
-        super().__init__(path, collect)
+        super().__init__(path, collect, episodes=episodes)
         self.validation, self.test = validation, test
         self.batch_size, self.horizons, self.splits = batch_size, tuple(horizons), tuple(splits)
 

@@ -56,7 +56,9 @@ class Supervised(lightning.LightningModule):
 
     def training_step(self, batch: TensorDictBase, batch_index: int) -> Tensor:
         generator = torch.Generator().manual_seed(derive(run_seed(), "augmentation", self.global_step))
-        embedding = embed_patches(self.encoder, self.augmentation(batch["patches"].flatten(0, 1), generator))
+        mix = getattr(self.encoder, "color_mix", None)
+        patches = self.augmentation(batch["patches"].flatten(0, 1), generator, mix=mix)
+        embedding = embed_patches(self.encoder, patches)
         command = self.model.actor.unclipped(embedding)
         loss = squared_command_error(command, batch["expert_action"].flatten(0, 1), self.model.spec)
         self.log("loss", loss, prog_bar=True)

@@ -39,7 +39,7 @@ class Device(nn.Module):
 
 
 class Receive(nn.Module):
-    """A slot with an update: payload uint8 [N, bytes] (and set-points [N, r]) to embedding [N, d] and command [N, m]."""
+    """A slot with an update: payload uint8 [N, bytes] and set-points [N, r] to embedding [N, d] and command [N, m]."""
 
     def __init__(self, codec: nn.Module, act: nn.Module) -> None:
         super().__init__()

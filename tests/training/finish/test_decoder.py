@@ -1,8 +1,8 @@
 import pytest
+import tiny_controller
 import torch
 from torch.nn import functional as F
 
-from tsjepa.models import Architecture, SemanticController
 from tsjepa.models.decoder import Decoder
 from tsjepa.models.encoder import unpatchify
 from tsjepa.training.finish.decoder import fit_decoder, look_around, reconstruction_loss
@@ -93,7 +93,8 @@ def test_the_motion_weight_counts_errors_that_differ_from_frame_to_frame():
 
 
 def test_a_controller_whose_decoder_nobody_trained_says_so_and_else_draws_one_frame():
-    model = SemanticController(Architecture(widths=(4, 8, 8), embedding_dim=D)).eval()
+    model = tiny_controller.tiny()
+    model.decoder.fitted.fill_(False)
     with pytest.raises(ValueError, match="never trained"):
         model.decode(torch.eye(D))
     model.decoder.fitted.fill_(True)
@@ -101,6 +102,5 @@ def test_a_controller_whose_decoder_nobody_trained_says_so_and_else_draws_one_fr
 
 
 def test_a_controller_without_predictor_says_so():
-    model = SemanticController(Architecture(widths=(4, 8, 8), embedding_dim=D, has_predictor=False))
     with pytest.raises(ValueError, match="no predictor"):
-        model.predict(torch.eye(D), torch.zeros(D, 1))
+        tiny_controller.tiny_supervised().predict(torch.eye(D), torch.zeros(D, 1))
