@@ -16,7 +16,7 @@ def on_black(spec):
 class Acrobot(MujocoPlant):
     """Two links in series; only the elbow is driven. State: shoulder and elbow (rad from upright) and their rates."""
 
-    def __init__(self, sampling_interval=0.01, process_noise_std=0.0, start_half_widths=(0.01, 0.01, 0.01, 0.01)):
+    def __init__(self, sampling_interval=0.01, process_noise_std=0.0, start_half_widths=(0.005, 0.005, 0.005, 0.005)):
         spec = PlantSpec(
             action_low=(-1.0,),
             action_high=(1.0,),
