@@ -9,7 +9,7 @@ import shutil
 
 import numpy as np
 import pytest
-from mutations import base_recordings, mutate
+from mutations import base_logs, base_recordings, mutate, mutate_log
 
 from tsjepa.cli import main
 from tsjepa.data.storage import open_split, read_metadata
@@ -56,3 +56,26 @@ def test_a_damaged_recording_is_refused_or_imported_whole(name, valid, tmp_path,
         shutil.rmtree(path)
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < MOST_MEMORY
     assert COUNT < 50 or 0 < refused < COUNT
+
+
+@pytest.mark.parametrize("name", ["table.txt", "packets.jsonl", "ping.txt", "iperf.txt", "iw.jsonl", "link.trace"])
+def test_a_damaged_log_of_a_radio_link_is_refused_or_imported_whole(name, tmp_path, capsys):
+    valid = base_logs(tmp_path / "valid")[name]
+    assert main(["trace", "import", str(valid), str(tmp_path / "whole.parquet")]) == 0
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    for seed in range(COUNT):
+        path = tmp_path / name
+        shutil.copy(valid, path)
+        done = f"seed {seed}: {mutate_log(path, np.random.default_rng([seed, *name.encode()]))}"
+        capsys.readouterr()
+        status = main(["trace", "import", str(path), str(tmp_path / "out.parquet")])
+        said = capsys.readouterr()
+        assert status in (0, 1, 2) and "Traceback" not in said.err, done
+        if status:
+            assert said.err.count("\n") == 1 and not (tmp_path / "out.parquet").exists(), (done, said.err)
+        for file in tmp_path.glob("out.*"):
+            file.unlink()
+        assert sorted(file.name for file in tmp_path.iterdir()) == sorted(
+            [name, "valid", "whole.json", "whole.parquet", "whole.png"]
+        ), done
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < MOST_MEMORY

@@ -76,12 +76,9 @@ class PerfectCsi:
         memory[..., 0] = self.loss.bad_share if isinstance(self.loss, GilbertElliott) else 0.0
         return memory
 
-<<<<<<< HEAD
     def restart(self, memory: Tensor) -> Tensor:
         return self.start(memory.shape[:-1], memory.device)
 
-=======
->>>>>>> d975f030fb9fae8d1cb5c6622aa8aa4145f426ba
     def step(self, memory: Tensor, mean_snr: Tensor, snr: Tensor, sent: Tensor, arrived: Tensor) -> tuple[Tensor, Link]:
         bad = self._bad(memory[..., 0], sent, arrived, memory[..., 1])
         decodable = (snr.to(torch.float64) >= self.snr_threshold).to(torch.float64)
@@ -198,13 +195,10 @@ class AckLearned:
     def start(self, shape: tuple[int, ...], device: torch.device | str = "cpu") -> Tensor:
         return _pack(feedback.start_counts(shape, device))
 
-<<<<<<< HEAD
     def restart(self, memory: Tensor) -> Tensor:
         fresh = feedback.start_counts(memory.shape[:-1], memory.device)
         return _pack(_unpack(memory)._replace(record=fresh.record, since=fresh.since))
 
-=======
->>>>>>> d975f030fb9fae8d1cb5c6622aa8aa4145f426ba
     def step(self, memory: Tensor, mean_snr: Tensor, snr: Tensor, sent: Tensor, arrived: Tensor) -> tuple[Tensor, Link]:
         counts = feedback.update_counts(_unpack(memory), sent, arrived, self.discount)
         success = feedback.learned_success(counts, self.strength)
