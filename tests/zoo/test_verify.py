@@ -268,8 +268,10 @@ def test_the_list_shows_the_key_figures_of_every_entry(tmp_path, monkeypatch, ca
 
 def test_the_list_says_what_the_card_says():
     for name in entries.names():
-        shown = {cell.strip() for cell in tsjepa.load(name).card.split("|")}
-        scores = [cell.rpartition(", ") for heading, cell in key_figures(name).items() if heading.startswith("every")]
+        text, listed = tsjepa.load(name).card, key_figures(name)
+        assert f"is {listed['command NMAE']}" in text
+        shown = {cell.strip() for cell in text.split("|")}
+        scores = [cell.rpartition(", ") for heading, cell in listed.items() if heading.startswith("every")]
         assert len(scores) == 4
         for score, _, failures in scores:
             assert score in shown
@@ -290,6 +292,7 @@ def test_a_card_says_what_the_figures_say():
     assert "for the cart-pole, at 20 ms a slot" in text
     assert "(2 frames of 64 x 128, 20 ms apart)" in text
     assert "The scores hold for `tsjepa.plants.CartPole(process_noise_std=0.008)`." in text
+    assert "On recorded test trajectories the command NMAE, to the expert's, is 0.0052." in lines
     assert "Sent once" not in text
     watched = {"state": "theta", "limit": 0.05, "unit": "rad"}
     for slot, said in ((23, "first in slot 23"), (None, "in no slot")):
@@ -308,7 +311,12 @@ def test_a_card_names_the_set_points_of_a_model_that_takes_some():
 def test_a_card_of_a_recordings_model_names_no_plant():
     model = tiny()
     model.plant = None
-    text = card("tiny", model, {"open_loop": {"command_nmae": 0.1}})
+    measured = {"command_nmae": 0.1, "command_nmae_to": "action", "skill_over_copying": {"1": 0.9, "5": 0.75}}
+    text = card("tiny", model, {"open_loop": measured})
+    assert (
+        "On recorded test trajectories the command NMAE, to the recorded commands, is 0.1000; the prediction skill "
+        "over copying after 1, 5 slots is 0.900, 0.750." in text.splitlines()
+    )
     assert yaml.safe_load(text.split("---\n")[1])["tags"] == ["control", "recording", "jepa"]
     assert "tsjepa.plants" not in text
 
