@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tsjepa.data.clock import command_lag, cut, match_clocks, newest, stamp_faults
+from tsjepa.data.clock import cut, match_clocks, newest, stamp_faults
+from tsjepa.data.lag import command_lag
 
 TWENTY_HZ = np.arange(40) / 20
 
@@ -152,3 +153,13 @@ def test_no_lag_is_claimed_where_nothing_follows():
     assert command_lag(generator.normal(size=(300, 2)), generator.normal(size=(300, 3)), 0.05, same=False) is None
     assert command_lag(generator.normal(size=(300, 2)), generator.normal(size=(300, 2)), 0.05, same=True) is None
     assert command_lag(generator.normal(size=(300, 2)), generator.random((299, 1)), 0.05, same=False) is None
+
+
+def test_a_jump_that_only_the_rows_know_of_splits_an_episode():
+    """Two episodes joined, or a pause that the video does not show."""
+    for jump in (30.0, -0.7):
+        rows = TWENTY_HZ + np.where(np.arange(40) >= 25, jump, 0)
+        found = clocks(rows, TWENTY_HZ, paired=True)
+        pieces, notes = cut(found, every_row(found), None, True)
+        assert [(piece.frame[0], piece.frame[-1]) for piece in pieces] == [(0, 24), (25, 39)]
+        assert "jumps 1 times where that of the pictures does not" in notes[0]

@@ -1,13 +1,16 @@
 """Import: what reaches the data set, bit by bit, and what is left out, named and counted."""
 
 import json
+import subprocess
+import sys
 
 import numpy as np
 import pytest
 import recordings as make
 
+from tsjepa.data.cutting import starts
 from tsjepa.data.import_plan import merge_notes
-from tsjepa.data.importer import import_recording, resize, starts
+from tsjepa.data.importer import import_recording, resize
 from tsjepa.data.inspect import inspect_recording
 from tsjepa.data.storage import open_split, read_metadata
 
@@ -150,7 +153,7 @@ def test_a_wrong_claimed_rate_is_said_and_the_measured_one_taken(tmp_path):
     info = json.loads((path / "meta/info.json").read_text())
     (path / "meta/info.json").write_text(json.dumps({**info, "fps": 50}))
     metadata, report, _ = run(path, tmp_path / "set")
-    assert metadata["sampling_interval"] == pytest.approx(0.05)
+    assert metadata["spec"]["slot"] == pytest.approx(0.05)
     assert "The metadata claim 50 pictures a second; 20 are measured." in report["notes"]
 
 
@@ -183,8 +186,9 @@ def test_constant_columns_are_named(tmp_path):
             path / f"run_{episode}.csv",
             {"time_s": [k / 20 for k in range(9)], "action_x": range(9), "action_y": [3] * 9},
         )
-    _, report, _ = run(path, tmp_path / "set")
+    metadata, report, _ = run(path, tmp_path / "set")
     assert "1 of 2 columns of the action are constant (action_y)." in report["notes"]
+    assert (metadata["spec"]["action_low"], metadata["spec"]["action_high"]) == ([0, 2.5], [7, 3.5])
 
 
 def test_a_gap_splits_a_tub(tmp_path):
@@ -240,3 +244,38 @@ def test_inspect_says_what_import_does_and_names_the_command(tmp_path, capsys):
     assert result["command"] == f"tsjepa import {path} data/recording --slots 8"
     inspect_recording(str(path), json=True)
     assert json.loads(capsys.readouterr().out) == json.loads(json.dumps(result))
+
+
+def test_an_episode_whose_state_is_never_finite_is_named_and_left_out(tmp_path):
+    path = make.lerobot_v2(tmp_path / "recording", [9, 9])
+    rows = {"action": make.commands(9), "observation.state": np.full((9, 3), np.nan, np.float32),
+            "timestamp": np.arange(9) / 20, "episode_index": np.ones(9, np.int64)}  # fmt: skip
+    make.write_parquet(path / "data/chunk-000/episode_000001.parquet", rows)
+    _, report, splits = run(path, tmp_path / "set")
+    assert [entry["name"] for entry in report["skipped"]] == ["episode 1"]
+    assert "its state has the columns none" in report["skipped"][0]["reason"]
+    assert all(split["state"].isfinite().all() for split in splits.values())
+
+
+def test_the_last_command_of_an_environments_recorder_is_not_missed(tmp_path):
+    """N pictures whose last command is NaN are N - 1 steps, all of which are kept."""
+    _, report, splits = run(
+        make.stable_worldmodel(tmp_path / "world.h5", [9]), tmp_path / "set", rate_hz=20, validation=0, test=0
+    )
+    assert sum(len(split) for split in splits.values()) == 2
+    commands = splits["train"]["action"][:, :-1].reshape(-1, 2).numpy()
+    np.testing.assert_array_equal(commands, make.commands(9, 2)[:-1])
+    assert not any("no finite command" in note for note in report["notes"])
+
+
+def test_import_needs_no_simulator(tmp_path):
+    """Whoever has recordings and no plant needs neither mujoco nor dm-control."""
+    path = make.videos_and_csv(tmp_path / "recording", [9, 9])
+    program = (
+        "import sys\n"
+        "sys.modules.update(dict.fromkeys(('mujoco', 'dm_control', 'torchrl', 'lightning')))\n"
+        "from tsjepa.cli import main\n"
+        f"sys.exit(main(['import', {str(path)!r}, {str(tmp_path / 'set')!r}, '--slots', '4']))\n"
+    )
+    assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0
+    assert read_metadata(tmp_path / "set")["slots"] == 4

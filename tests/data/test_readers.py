@@ -1,8 +1,10 @@
 """Every reader against small recordings whose pictures and commands are known."""
 
 import json
+import shutil
 import zipfile
 
+import cv2
 import numpy as np
 import pytest
 import recordings as make
@@ -299,3 +301,60 @@ def test_a_reader_of_a_stranger_by_class_path(tmp_path):
     recording = open_recording(tmp_path / "u.txt", reader="test_readers.OneFile")
     (episode,) = recording.episodes()
     shows(episode)
+
+
+def test_pictures_named_by_their_time(tmp_path):
+    """Commands at another rate than the pictures, whose names are milliseconds since 1970."""
+    for number, frame in enumerate(make.pictures(8)):
+        cv2.imwrite(str(tmp_path / f"{1_700_000_000_000 + 50 * number}.png"), frame[..., ::-1])
+    stamps = [1_700_000_000_000 + 10 * k for k in range(40)]
+    make.write_csv(tmp_path / "rows.csv", {"timestamp_ms": stamps, "action": range(40)})
+    _, (episode,), _ = read_all(tmp_path)
+    shows(episode)
+    np.testing.assert_allclose(np.diff(episode.frames.times), 0.05, atol=1e-6)
+    assert episode.times[0] == pytest.approx(episode.frames.times[0])
+
+
+def test_pictures_in_the_order_of_the_rows_that_name_them(tmp_path):
+    for number, frame in enumerate(make.pictures(8)):
+        cv2.imwrite(str(tmp_path / f"{chr(104 - number)}.png"), frame[..., ::-1])
+    names = [f"images/{chr(104 - number)}.png" for number in range(8)]
+    dates = [f"2026-01-02 03:04:05.{125 * k:03d}" for k in range(8)]
+    make.write_csv(tmp_path / "rows.csv", {"time": dates, "image": names, "action": range(8)})
+    _, (episode,), _ = read_all(tmp_path)
+    shows(episode)
+    np.testing.assert_allclose(episode.times - episode.times[0], np.arange(8) / 8, atol=1e-6)
+
+
+def test_lerobot_with_pictures_in_its_rows(tmp_path):
+    path = make.lerobot_v2(tmp_path / "data_set", [12, 9])
+    pa, pq = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
+    for episode, file in enumerate(sorted(path.glob("data/*/*.parquet"))):
+        table = pq.read_table(file)
+        frames = make.pictures(len(table), first=100 * episode)
+        cells = [{"bytes": cv2.imencode(".png", frame[..., ::-1])[1].tobytes(), "path": None} for frame in frames]
+        pq.write_table(table.append_column("observation.images.front", pa.array(cells)), file, row_group_size=5)
+    shutil.rmtree(path / "videos")
+    _, episodes, skipped = read_all(path)
+    assert not skipped
+    shows(episodes[1], first=100)
+
+
+@pytest.mark.parametrize("suffix", ["db3", "mcap"])
+def test_a_bag_without_its_metadata(tmp_path, suffix):
+    bag = make.rosbag(tmp_path / "bag", np.arange(12) / 20, suffix == "mcap")
+    (bag / "metadata.yaml").unlink()
+    _, (episode,), _ = read_all(next(bag.glob(f"*.{suffix}")))
+    shows(episode)
+
+
+def test_hundreds_of_episodes_are_not_opened_before_they_are_asked_for(tmp_path, monkeypatch):
+    from tsjepa.data.readers import lerobot_v3
+
+    asked = []
+    index = lerobot_v3.video_index
+    monkeypatch.setattr(lerobot_v3, "video_index", lambda path: asked.append(path) or index(path))
+    recording = open_recording(make.lerobot_v3(tmp_path / "data_set", [12, 9]))
+    assert not asked
+    next(recording.episodes())
+    assert len(asked) == 1

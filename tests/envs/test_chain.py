@@ -9,7 +9,9 @@ from linear_fleet import A, B, LinearFleet, render
 from torchrl.envs import Compose, TransformedEnv
 
 from tsjepa.envs.transforms import Camera, Channel, Encode, Estimator, HoldCommand, Scheduler, Uplink
-from tsjepa.radio import IidLoss, outage_probability, periodic, resource_units
+from tsjepa.radio import GilbertElliott, IidLoss, outage_probability, periodic, resource_units
+
+BURSTS = GilbertElliott(0.05, 0.2)
 
 
 def feedback(tensordict):
@@ -137,13 +139,35 @@ def test_an_update_larger_than_its_grant_is_lost():
 
 
 def test_delayed_csi_is_the_snr_of_earlier_slots():
-    """Opportunistic with one block picks the best device of three slots ago."""
-    data = rollout([Channel(snr_target_db=10.0), Scheduler("opportunistic", 1, csi="delayed", csi_delay=3)])
+    """Opportunistic with one block picks the best device of three slots ago, as long as the fading remembers it."""
+    assumed = {"csi": "delayed", "csi_delay": 3, "max_doppler_hz": 2.0}
+    channel = Channel(snr_target_db=10.0, max_doppler_hz=2.0)
+    data = rollout([channel, Scheduler("opportunistic", 1, **assumed)])
     best = data["snr"].argmax(0)
     picked = data["scheduled"].int().argmax(0)
     assert torch.equal(picked[3:], best[:-3])
     now = rollout([Channel(snr_target_db=10.0), Scheduler("opportunistic", 1)])
-    assert torch.equal(now["scheduled"].int().argmax(0), best)
+    assert torch.equal(now["scheduled"].int().argmax(0), now["snr"].argmax(0))
+
+
+@pytest.mark.parametrize("scheduler", ["channel_aware", "opportunistic", "whittle", "proportional_fair"])
+def test_delayed_csi_of_independent_fading_schedules_as_statistical_does(scheduler):
+    delayed, statistical = (
+        rollout([Channel(tx_power_dbm=-10.0), Scheduler(scheduler, 2, csi=csi), Uplink(in_key=None)])
+        for csi in ("delayed", "statistical")
+    )
+    assert torch.equal(delayed["scheduled"], statistical["scheduled"])
+
+
+@pytest.mark.parametrize("csi", ["perfect", "delayed", "statistical", "acks"])
+def test_the_hidden_state_of_the_losses_is_not_known(csi):
+    """With the outcomes kept secret (no Uplink) two channels that differ in their erasures alone schedule alike."""
+
+    def scheduled(loss):
+        chain = [Channel(snr_target_db=8.0, loss=loss), Scheduler("channel_aware", 2, csi=csi, loss=BURSTS)]
+        return rollout(chain, slots=60)["scheduled"]
+
+    assert torch.equal(scheduled(BURSTS), scheduled(IidLoss(0.0)))
 
 
 def test_iid_loss_is_seen_by_nobody_and_felt_by_all():
@@ -188,11 +212,11 @@ def test_hold_command_repeats_what_was_applied():
 
 
 def test_the_camera_sees_scheduled_devices_at_the_right_slots():
-    chain = [Scheduler("round_robin", 2), Camera(render, 2, 2, height=4, width=8), Encode(embed)]
+    chain = [Scheduler("round_robin", 2), Camera(render, (4, 8), 2, 2), Encode(embed, 12)]
     data = rollout(chain, slots=12, policy=lambda td: td.set("action", torch.zeros(6, 1)))
     pixels, sent = data["pixels"], data["scheduled"]
     assert (pixels[~sent] == 0).all() and (data["embedding"][~sent] == 0).all()
-    position = data["qpos"][..., [0, 2], 0].mul(100).round().clamp(0, 255).to(torch.uint8)
+    position = data["scene"][..., [0, 2], 0].mul(100).round().clamp(0, 255).to(torch.uint8)
     assert torch.equal(pixels[sent][:, :, 0, 0, 0], position[sent])
     assert (pixels[sent][:, :, 0, 1] == 50).all()
     torch.testing.assert_close(data["embedding"][sent], embed(pixels[sent]))

@@ -182,6 +182,17 @@ def test_one_seed_gives_no_interval_and_is_refused(model, tmp_path):
         evaluate(model, output=str(tmp_path), **{**SMALL, "seeds": 1})
 
 
+def test_a_device_that_is_not_there_and_a_plant_that_does_not_fit_are_said_in_one_sentence(model, tmp_path, capsys):
+    for options, said in (
+        (["--device", "cuda:99"], "The device 'cuda:99' cannot be used here"),
+        (["--plant", "{class_path: tsjepa.plants.CartPole, init_args: {sampling_interval: 0.01}}"], "slot in seconds"),
+    ):
+        assert cli.main(["evaluate", model, "--output", str(tmp_path), *options]) == 2
+        complaint = capsys.readouterr().err
+        assert said in complaint
+        assert complaint.count("\n") == 1
+
+
 class Line(torch.nn.Module):
     """A model whose embedding is the state itself and moves by the command."""
 

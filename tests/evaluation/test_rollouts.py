@@ -8,6 +8,7 @@ import torch
 from open_plant import OpenPlant, right_model, states_of
 
 from tsjepa.envs import Radio
+from tsjepa.envs.make import at_weights
 from tsjepa.evaluation.fleet_summary import device_rows, summary
 from tsjepa.evaluation.metrics import normalized_score
 from tsjepa.evaluation.rollouts import HELD_OUT, ONCE, Loop, every, optimal_scores, perfect_feedback, run
@@ -227,6 +228,18 @@ def test_units_are_shared_by_payload():
 def test_what_does_not_exist_or_fit_is_named(changes, named):
     with pytest.raises(ValueError, match=named):
         run(replace(FLEET, **changes), 0)
+
+
+def test_a_models_parts_compute_where_its_weights_lie_and_give_back_what_they_make():
+    model, devices = torch.nn.Linear(1, 1, device="meta"), []
+
+    def method(embedding, reference):
+        devices.append((embedding.device.type, reference))
+        return torch.ones(2)
+
+    made = at_weights(model, method)(torch.zeros(2), None)
+    assert devices == [("meta", None)]
+    assert made.device.type == "cpu"
 
 
 def test_a_plant_whose_state_is_not_its_physics_is_not_predicted_exactly():

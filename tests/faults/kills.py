@@ -25,20 +25,21 @@ sys.path.insert(0, str(Path(__file__).parent.parent))
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import tiny
+import tiny_controller
 import torch
 
 from tsjepa import cli
 from tsjepa.data.storage import read_metadata
 from tsjepa.envs import FleetEnv  # noqa: F401 - imported before the fork; it makes no GL context
-from tsjepa.evaluation import evaluate, export, simulate  # noqa: F401
-from tsjepa.models import Architecture, SemanticController, entries
+from tsjepa.evaluation import evaluate, simulate  # noqa: F401
+from tsjepa.models import entries
 from tsjepa.support.files import write_text
 from tsjepa.support.provenance import provenance
 from tsjepa.training import actor, jepa, monitor, probe, refine, resume  # noqa: F401
+from tsjepa.zoo import export  # noqa: F401
 
 JEPA, DATA, SEARCH = "recipes/jepa.yaml", "recipes/data.yaml", "recipes/fleet-search.yaml"
 CHANGES = {"max_epochs": 4, "check_val_every_n_epoch": 2, "schedulers": ["channel_aware", "round_robin"]}
-SIZES = {"widths": (4, 8, 8), "embedding_dim": 8, "predictor_hidden_dim": 16, "actor_hidden_dims": (16, 8)}
 STATE = ("state_dict", "optimizer_states", "lr_schedulers", "global_step", "epoch")
 
 
@@ -97,8 +98,7 @@ def entry() -> object:
 def two_models() -> None:
     """An entry of the zoo, and another model with its evaluation that is to take its place."""
     for seed, folder in ((1, "checkpoints/tiny"), (2, "runs/actor/model")):
-        torch.manual_seed(seed)
-        entries.save(SemanticController(Architecture(**SIZES)), folder)
+        entries.save(tiny_controller.tiny(seed), folder)
     figures = {"model_sha256": entries.load("runs/actor/model").entry_sha256, "closed_loop": []}
     Path("runs/actor/evaluation").mkdir()
     Path("runs/actor/evaluation/evaluation.json").write_text(json.dumps(figures))

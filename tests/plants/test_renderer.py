@@ -11,15 +11,21 @@ import mujoco
 import numpy as np
 import pytest
 
+from tsjepa.plants import CartPole, DoubleCartPole, Pendulum, Reacher
 from tsjepa.plants import renderer as camera
-from tsjepa.plants.renderer import DEFAULT_COLORS, Renderer
+from tsjepa.plants.renderer import Renderer
 
 RED = np.array([[[1.0, 0.0, 0.0], [1.0, 0.0, 0.0]]])
 
 
+def make(height: int = 64, width: int = 128) -> Renderer:
+    plant = CartPole()
+    return Renderer(plant.model, plant.view, height, width)
+
+
 @pytest.fixture(scope="module")
 def renderer() -> Renderer:
-    return Renderer()
+    return make()
 
 
 def moving_parts(renderer: Renderer, x: float, theta: float) -> np.ndarray:
@@ -38,7 +44,7 @@ def test_frames_are_a_function_of_qpos(renderer):
     frames = renderer.render(qpos)
     assert frames.shape == (5, 64, 128, 3) and frames.dtype == np.uint8
     np.testing.assert_array_equal(renderer.render(qpos[::-1])[::-1], frames)
-    np.testing.assert_array_equal(Renderer().render(qpos[2:3])[0], frames[2])
+    np.testing.assert_array_equal(make().render(qpos[2:3])[0], frames[2])
     np.testing.assert_array_equal(renderer.render(qpos.astype(np.float32)[2:3])[0], frames[2])
 
 
@@ -52,6 +58,20 @@ def test_rendering_only_around_the_moving_parts_gives_the_whole_picture(renderer
     difference = np.abs(frames - renderer.render(qpos, colors))
     # a frustum of its own rounds a vertex by up to 1/256 of a pixel, which now and then turns one of an edge's samples
     assert (difference > 0).mean() < 3e-4 and difference.mean() < 0.005
+
+
+@pytest.mark.parametrize("kind", [DoubleCartPole, Pendulum, Reacher])
+def test_nothing_of_what_moves_is_cut_off(kind, monkeypatch):
+    plant = kind()
+    poses = np.random.default_rng(0).uniform(-1, 1, (100, plant.model.nq)) * 2.5
+    frames = plant.renderer.render(poses).astype(int)
+    whole = [0, 0, *plant.spec.frame[::-1]]
+    monkeypatch.setattr(camera, "rectangles", lambda *_: np.tile(whole, (100, 1)))
+    difference = np.abs(frames - plant.renderer.render(poses))
+    assert (
+        difference.max() < 30 and difference.mean() < 0.002
+    )  # a part that is cut off differs by its colour, 100 or more
+    assert (frames.std((1, 2, 3)) > 5).all()
 
 
 def test_where_nothing_moves_there_is_only_background(renderer):
@@ -99,11 +119,11 @@ def test_default_colors_are_restored(renderer):
     plain = renderer.render(qpos)
     assert (renderer.render(qpos, RED) != plain).any()
     np.testing.assert_array_equal(renderer.render(qpos), plain)
-    np.testing.assert_array_equal(renderer.render(qpos, np.array([DEFAULT_COLORS])), plain)
+    np.testing.assert_array_equal(renderer.render(qpos, CartPole().colors[None]), plain)
 
 
 def test_another_size_and_no_rows(renderer):
-    assert Renderer(32, 48).render(np.zeros((1, 2))).shape == (1, 32, 48, 3)
+    assert make(32, 48).render(np.zeros((1, 2))).shape == (1, 32, 48, 3)
     assert renderer.render(np.zeros((0, 2))).shape == (0, 64, 128, 3)
 
 
@@ -141,12 +161,13 @@ def test_without_a_backend_the_message_says_what_to_install(monkeypatch):
 
     monkeypatch.setattr(mujoco, "GLContext", broken)
     with pytest.raises(RuntimeError, match="install EGL"):
-        Renderer().render(np.zeros((1, 2)))
+        make().render(np.zeros((1, 2)))
 
 
 def test_exit_is_silent():
     code = (
-        "import numpy, tsjepa.envs as e; r = [e.Renderer(), e.Renderer()]; [s.render(numpy.zeros((1, 2))) for s in r]"
+        "import numpy, tsjepa.envs; from tsjepa.plants import CartPole; "
+        "[CartPole().renderer.render(numpy.zeros((1, 2))) for _ in range(2)]"
     )
     finished = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
     assert finished.returncode == 0 and finished.stderr == ""

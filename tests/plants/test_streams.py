@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from tsjepa.plants.starts import StartDistribution, draw_colors, noise_std_pair
 
+from tsjepa.plants import CartPole, DoubleCartPole
 from tsjepa.plants.streams import NOISE, normals, philox, uniforms
 
 ZERO = np.zeros(1, np.int64)
@@ -53,14 +53,14 @@ def test_normals_are_standard_and_uncorrelated():
 
 def test_starts_fill_their_half_widths():
     widths = (0.8, 0.3, 0.1, 0.0)
-    drawn = StartDistribution(*widths).draw(0, np.arange(5000), ZERO)
+    drawn = CartPole(start_half_widths=widths).start(0, np.arange(5000), ZERO)
     assert (np.abs(drawn) <= widths).all()
     np.testing.assert_allclose(np.abs(drawn).max(0), widths, rtol=0.01)
 
 
 def test_colors_are_visible_and_differ_between_cart_and_pole():
-    drawn = draw_colors(0, np.arange(2000), ZERO)
-    assert drawn.shape == (2000, 2, 3)
+    scenes = CartPole(random_colors=True).scene(np.zeros((2000, 4)), 0, np.arange(2000), ZERO)
+    drawn = scenes[:, 2:].reshape(2000, 2, 3)
     assert drawn.min() >= 0.25 and drawn.max() <= 1.0
     assert abs(np.corrcoef(drawn[:, 0, 0], drawn[:, 1, 0])[0, 1]) < 0.1
 
@@ -68,9 +68,18 @@ def test_colors_are_visible_and_differ_between_cart_and_pole():
 @pytest.mark.parametrize("std", [-0.1, (0.1, -0.1), (0.1, 0.1, 0.1), float("nan")])
 def test_an_impossible_noise_is_refused(std):
     with pytest.raises(ValueError, match="process_noise_std"):
-        noise_std_pair(std)
+        CartPole(process_noise_std=std)
 
 
 def test_an_impossible_start_is_refused():
-    with pytest.raises(ValueError, match="theta"):
-        StartDistribution(theta=-0.1)
+    with pytest.raises(ValueError, match="start_half_widths"):
+        CartPole(start_half_widths=(0.1, -0.1, 0.0, 0.0))
+
+
+def test_each_rate_has_noise_of_its_own():
+    plant, count = DoubleCartPole(0.001, process_noise_std=(0.03, 0.05, 0.1)), 3000
+    devices, zeros = np.arange(count), np.zeros(count, np.int64)
+    still = np.zeros((count, 6))
+    rates = plant.advance(still, np.zeros((count, 1)), 0, devices, zeros, zeros)[:, 3:]
+    np.testing.assert_allclose(rates.std(0), (0.03, 0.05, 0.1), rtol=0.05)
+    assert np.abs(np.corrcoef(rates.T) - np.eye(3)).max() < 0.08

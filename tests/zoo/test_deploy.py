@@ -9,12 +9,14 @@ import pytest
 import tiny_controller
 import torch
 from torch import nn
-from tsjepa.envs.embedding_codec import embedding_codec
-from tsjepa.evaluation.closed_loop import SemanticPolicy, Starts, run
 
 from tsjepa import cli
-from tsjepa.envs import Renderer
-from tsjepa.models import entries
+from tsjepa.envs import Radio
+from tsjepa.envs.make import make_policy
+from tsjepa.envs.payload import embedding_codec
+from tsjepa.evaluation.rollouts import Loop, every, run
+from tsjepa.models import AutoencoderController, entries
+from tsjepa.plants import CartPole
 from tsjepa.zoo.deploy import deploy, graphs
 
 ROWS = (1, 3, 5)
@@ -24,10 +26,12 @@ SHIPPED = "tsjepa-cartpole"
 def pictures(model: nn.Module, count: int, seed: int = 0) -> torch.Tensor:
     """What the camera sees of ``count`` cart-poles that move: uint8 [count, frame_stack, 64, 128, 3]."""
     draw = np.random.default_rng(seed)
-    stack = model.encoder.frame_shape[0]
+    stack, plant = model.frame_stack, CartPole()
     start = draw.uniform((-0.8, -0.3), (0.8, 0.3), (count, 1, 2))
-    qpos = start + draw.normal(0, 0.02, (count, 1, 2)) * np.arange(stack)[:, None]
-    return torch.from_numpy(Renderer().render(qpos.reshape(-1, 2), None)).unflatten(0, (count, stack))
+    qpos = (start + draw.normal(0, 0.02, (count, 1, 2)) * np.arange(stack)[:, None]).reshape(-1, 2)
+    device = np.arange(len(qpos))
+    scene = plant.scene(np.concatenate([qpos, 0 * qpos], axis=1), 0, device, device)
+    return torch.from_numpy(plant.render(scene)).unflatten(0, (count, stack))
 
 
 def with_ranges(model: nn.Module) -> nn.Module:
@@ -47,10 +51,17 @@ def untrained(model: nn.Module) -> nn.Module:
 
 MODELS = {
     "tiny": lambda: untrained(tiny_controller.tiny()),
+    "tiny with set-points": lambda: untrained(tiny_controller.tiny(set_points=1)),
     "tiny autoencoder": lambda: untrained(tiny_controller.tiny_autoencoder()),
     "shipped": lambda: with_ranges(entries.load(SHIPPED)),
 }
-CASES = [("tiny", "onnx"), ("tiny", "torch_export"), ("tiny autoencoder", "onnx"), ("shipped", "onnx")]
+CASES = [
+    pytest.param(("tiny", "torch_export"), id="tiny-torch_export"),
+    *(
+        pytest.param((name, "onnx"), id=f"{name}-onnx", marks=pytest.mark.slow)
+        for name in ("tiny", "tiny with set-points", "tiny autoencoder", "shipped")
+    ),
+]
 
 
 class OnnxGraph:
@@ -72,7 +83,7 @@ class ExportedGraph:
         return list(outputs) if isinstance(outputs, tuple) else [outputs]
 
 
-@pytest.fixture(scope="module", params=CASES, ids="-".join)
+@pytest.fixture(scope="module", params=CASES)
 def deployment(request, tmp_path_factory):
     """A model, its deployment's folder, and the graphs in it by name."""
     name, form = request.param
@@ -82,6 +93,12 @@ def deployment(request, tmp_path_factory):
     load = {"onnx": OnnxGraph, "torch_export": ExportedGraph}[form]
     paths = [path for path in (folder / "graphs").iterdir() if path.suffix != ".json"]
     return model, folder / "graphs", {path.stem: load(path) for path in paths}
+
+
+def set_points(model: nn.Module, rows: int) -> list[torch.Tensor]:
+    """What the graphs take beside their other inputs: set-points [rows, 1], or nothing."""
+    takes = isinstance(model, AutoencoderController) or model.actor.reference_low
+    return [torch.linspace(-0.5, 0.8, rows)[:, None]] if takes else []
 
 
 def test_a_device_sends_what_the_model_would(deployment):
@@ -105,10 +122,11 @@ def test_a_controller_makes_of_a_payload_what_the_model_would(deployment):
     codec = embedding_codec("int8", model)
     for rows in ROWS:
         payload = codec.encode(model.encode(pictures(model, rows, seed=rows)))
-        embedding, command = run_graph["receive"](payload)
+        reference = set_points(model, rows)
+        embedding, command = run_graph["receive"](payload, *reference)
         expected = codec.decode(payload)
         torch.testing.assert_close(embedding, expected, atol=1e-4, rtol=0)
-        torch.testing.assert_close(command, model.act(expected), atol=1e-4, rtol=1e-5)
+        torch.testing.assert_close(command, model.act(expected, *reference), atol=1e-4, rtol=1e-5)
 
 
 def test_a_controller_predicts_what_the_model_would(deployment):
@@ -119,31 +137,30 @@ def test_a_controller_predicts_what_the_model_would(deployment):
     for rows in ROWS:
         embedding = model.encode(pictures(model, rows, seed=rows))
         command = torch.linspace(-20, 20, rows)[:, None]
-        predicted, following = run_graph["predict"](embedding, command)
+        reference = set_points(model, rows)
+        predicted, following = run_graph["predict"](embedding, command, *reference)
         expected = model.predict(embedding, command)
         torch.testing.assert_close(predicted, expected, atol=1e-4, rtol=0)
-        torch.testing.assert_close(following, model.act(expected), atol=1e-4, rtol=1e-5)
+        torch.testing.assert_close(following, model.act(expected, *reference), atol=1e-4, rtol=1e-5)
 
 
 def test_the_graphs_close_the_loop_as_the_model_does(deployment):
     model, _, run_graph = deployment
-    renderer, codec = Renderer(), embedding_codec("int8", model)
-    policy = SemanticPolicy(model, renderer.render, 3, codec=lambda sent: codec.decode(codec.encode(sent)))
-    starts = Starts(0, 2, 8, model.frame_history, model.spec.slot)
-    belief = command = None
-
-    def by_graphs(slot: int, observation) -> torch.Tensor:
-        nonlocal belief, command
-        if slot % 3 == 0:
-            belief, command = run_graph["receive"](*run_graph["device"](policy.frames(observation)))
+    plant, period = CartPole(set_point_step=0.3, set_point_slots=4), 3
+    device = Loop(plant, model, num_devices=2, slots=8, radio=Radio(codec="int8", lossless=True))
+    expected = run(every(device, period), 0)
+    env, policy = every(device, period).env(0), make_policy(plant, model, device.radio)
+    now = env.reset()
+    for slot in range(device.slots):
+        reference = [now["reference"]] if set_points(model, 2) else []
+        if slot % period == 0:
+            (payload,) = run_graph["device"](now["pixels"])
+            belief, command = run_graph["receive"](payload, *reference)
         elif "predict" in run_graph:
-            belief, command = run_graph["predict"](belief, command)
-        return command
-
-    expected, found = run(starts, policy), run(starts, by_graphs)
-    # a level that was rounded otherwise moves the command of the trained model by about 0.01 N
-    torch.testing.assert_close(found.action, expected.action, atol=0.1, rtol=0)
-    torch.testing.assert_close(found.state, expected.state, atol=1e-3, rtol=0)
+            belief, command = run_graph["predict"](belief, command, *reference)
+        # a level that was rounded otherwise moves the command of the trained model by about 0.01 N
+        torch.testing.assert_close(command, expected.action[slot], atol=0.1, rtol=0)
+        now = env.step_and_maybe_reset(policy(now))[1]
 
 
 def test_the_files_hold_the_weights_they_need_and_nothing_of_this_machine(deployment):
@@ -158,6 +175,19 @@ def test_the_files_hold_the_weights_they_need_and_nothing_of_this_machine(deploy
             assert 4 * values <= len(content) <= 4 * values + 400_000
 
 
+@pytest.mark.parametrize("name", ["tiny", "tiny with set-points", "tiny autoencoder"])
+def test_a_graph_holds_the_parts_that_it_uses_and_no_others(name):
+    model = MODELS[name]()
+    kept = {"encoder": set(), "receive": set(), "predict": set()}
+    own = {parameter.data_ptr(): part.split(".")[0] for part, parameter in model.named_parameters()}
+    for part, graph in graphs(model).items():
+        kept[part] = {own[parameter.data_ptr()] for parameter in graph.module.parameters()}
+    assert kept["device"] == {"encoder"}
+    act = {"decoder", "estimator"} if name == "tiny autoencoder" else {"actor"}
+    assert kept["receive"] == act
+    assert kept["predict"] == (act | {"predictor"} if model.has_predictor else set())
+
+
 def test_the_description_says_what_goes_in_and_comes_out(deployment):
     model, folder, _ = deployment
     said = json.loads((folder / "deployment.json").read_text())
@@ -170,6 +200,10 @@ def test_the_description_says_what_goes_in_and_comes_out(deployment):
         "outputs": {"payload": f"uint8 [rows, {d}]"},
     }
     assert said["graphs"]["receive"]["outputs"] == {"embedding": f"float32 [rows, {d}]", "command": "float32 [rows, 1]"}
+    assert said["command"] == ["force (N)"]
+    takes = bool(set_points(model, 1))
+    assert said["reference"] == (["x (m)"] if takes else [])
+    assert said["graphs"]["receive"]["inputs"].get("reference") == ("float32 [rows, 1]" if takes else None)
 
 
 @pytest.fixture
@@ -188,6 +222,7 @@ def test_a_folder_with_something_else_in_it_is_left_alone(entry, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["model"]
 
 
+@pytest.mark.slow
 def test_an_interrupted_deployment_leaves_the_one_before(entry, tmp_path, monkeypatch):
     deploy(entry, str(tmp_path / "graphs"), "torch_export")
     before = {path.name: path.read_bytes() for path in (tmp_path / "graphs").iterdir()}

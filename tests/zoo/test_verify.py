@@ -1,27 +1,27 @@
 """``tsjepa export`` and ``tsjepa zoo``: from a run to an entry, to the list, and to scores that are measured again."""
 
 import json
-from functools import partial
 from pathlib import Path
 
 import pytest
-import tiny_controller
 import torch
 import yaml
+from tiny_controller import tiny, tiny_supervised
 
 import tsjepa
 from tsjepa import cli
-from tsjepa.evaluation import evaluate as evaluation
-from tsjepa.evaluation import export as export_module
-from tsjepa.evaluation.evaluate import FIRST_SLOT
+from tsjepa.evaluation.summary import FIRST_LOST
 from tsjepa.models import entries
-from tsjepa.zoo.card import card, kind_of
+from tsjepa.zoo import export as export_module
+from tsjepa.zoo.card import card
 from tsjepa.zoo.export import export
-from tsjepa.zoo.verify import Check, failures_allowed, key_figures, table
+from tsjepa.zoo.figures import HEADINGS, key_figures, table
+from tsjepa.zoo.training_history import training_history
+from tsjepa.zoo.verify import Check, failures_allowed
 
-tiny = partial(tiny_controller.tiny, sampling_interval=0.02)
+POINTER = "version https://git-lfs.github.com/spec/v1\noid sha256:4d7a\nsize 1741\n"
 SMALL = {"periods": (5,), "seeds": 2, "starts_per_seed": 6, "slots": 80, "video": False, "data": None}
-METADATA = {"sampling_interval": 0.02, "slots": 100, "seed": 0, "random_colors": False, "sha256": "5e", "files": {}}
+METADATA = {"slot": 0.02, "slots": 100, "seed": 0, "sha256": "5e", "files": {}}
 
 
 def write_run(folder: str, model, pretrained: str | None, **metrics) -> None:
@@ -29,8 +29,13 @@ def write_run(folder: str, model, pretrained: str | None, **metrics) -> None:
     entries.save(model, f"{folder}/model", metrics)
     config = {
         "seed_everything": 3,
-        "model": {"class_path": "a.Module", "init_args": {"learning_rate": 0.1, "pretrained": pretrained}},
-        "data": {"class_path": "a.Data", "init_args": {"path": "data/tiny", "batch_size": 2}},
+        # only the module's own start counts, and only the data module's own path
+        "trainer": {"logger": {"init_args": {"path": "elsewhere"}}},
+        "model": {
+            "class_path": "a.Module",
+            "init_args": {"encoder": {"init_args": {"pretrained": "absent"}}, "pretrained": pretrained},
+        },
+        "data": {"class_path": "a.Data", "init_args": {"augmentation": {"path": "no"}, "path": "data/tiny"}},
     }
     Path(folder, "config.yaml").write_text(yaml.safe_dump(config))
 
@@ -54,13 +59,13 @@ def home(tmp_path_factory):
 def evaluations(home, monkeypatch):
     """Runs the test in ``home``; the options of every evaluation that is made there, each a small one."""
     monkeypatch.chdir(home)
-    made, real = [], evaluation.evaluate
+    made, real = [], export_module.evaluate
 
     def small(model: str, output: str, data: str | None) -> dict:
         made.append((model, output, data))
-        return real(model, output, **SMALL)
+        return real(model, output=output, **SMALL)
 
-    monkeypatch.setattr(evaluation, "evaluate", small)
+    monkeypatch.setattr(export_module, "evaluate", small)
     return made
 
 
@@ -71,6 +76,7 @@ def entry(evaluations):
     return Path("checkpoints/tiny")
 
 
+@pytest.mark.slow
 def test_a_run_becomes_an_entry_with_one_command_and_is_evaluated_once(evaluations, home, capsys):
     (home / "runs/actor/evaluation/evaluation.json").unlink(missing_ok=True)
     assert cli.main(["export", "runs/actor", "first", "--folder", "exported"]) == 0
@@ -107,7 +113,7 @@ def test_an_entry_says_how_it_was_trained(entry):
 
 def test_a_model_that_started_from_an_entry_continues_its_history(entry):
     write_run("runs/next", tiny(2), "checkpoints/tiny")
-    history = export_module.training_history(Path("runs/next/model"))
+    history = training_history(Path("runs/next/model"))
     assert [fit["command"] for fit in history] == [
         "tsjepa fit --config recipes/jepa.yaml",
         "tsjepa fit --config runs/actor/config.yaml",
@@ -115,6 +121,7 @@ def test_a_model_that_started_from_an_entry_continues_its_history(entry):
     ]
 
 
+@pytest.mark.slow
 def test_other_weights_are_evaluated_anew_and_never_given_the_figures_of_others(entry, evaluations):
     Path("runs/again/evaluation").mkdir(parents=True)
     write_run("runs/again", tiny(2), None)
@@ -139,6 +146,7 @@ def test_names_that_are_none_are_refused(evaluations):
         export("runs/absent", "tiny")
 
 
+@pytest.mark.slow
 def test_16_bits_are_scored_before_they_are_shipped(entry, monkeypatch):
     export("runs/actor", "half", half=True)
     model = tsjepa.load("checkpoints/half")
@@ -193,6 +201,7 @@ def test_none_may_fall_where_none_fell_and_all_where_all_did():
     ("damage", "said"),
     [
         (lambda folder: (folder / entries.WEIGHTS).write_bytes(b""), "is not the file that the manifest names"),
+        (lambda folder: (folder / entries.WEIGHTS).write_text(POINTER), "is a pointer of Git LFS"),
         (lambda folder: entries.save(tiny(), folder), "do not say how it scored"),
         (lambda folder: entries.save(tiny(), folder, {"closed_loop": []}), "do not say how it scored"),
     ],
@@ -216,7 +225,7 @@ def test_arguments_by_place_are_as_many_as_there_are(capsys):
     assert "improve" in second
 
 
-def row(period, score: float, controller: str = "TS-JEPA") -> dict:
+def row(period: int, score: float, controller: str = "TS-JEPA") -> dict:
     return {
         "controller": controller,
         "update_every": period,
@@ -234,26 +243,39 @@ FIGURES = {
     "machine": {"processor": "a processor", "cores": 2},
     "optimal_policy": "reference LQR",
     "starts": "5 seeds x 20",
-    "process_noise_std": 0.0,
+    "plant": {"class_path": "tsjepa.plants.CartPole", "init_args": {"process_noise_std": 0.008}},
+    "open_loop": {"command_nmae": 0.0052},
     "closed_loop": [row(1, 1.0, "expert, perfect feedback"), row(1, 0.9876), row(5, 0.9), row(5, 0.1, "expert, zero")],
 }
 
 
 def test_the_list_shows_the_key_figures_of_every_entry(tmp_path, monkeypatch, capsys):
-    entries.save(tiny(), tmp_path / "tiny", FIGURES)
-    entries.save(tiny(), tmp_path / "unmeasured")
+    once = row(1, 0.1) | {"update_every": "once", FIRST_LOST: 27}
+    entries.save(tiny(), tmp_path / "tiny", FIGURES | {"closed_loop": [*FIGURES["closed_loop"], once]})
+    entries.save(tiny_supervised(), tmp_path / "unmeasured")
     monkeypatch.setattr(entries, "zoo_folder", lambda: tmp_path)
-    figures = key_figures("tiny")
-    assert figures["scores"] == [0.9876, 0.9, None]
-    assert (figures["command_nmae"], figures["bits_per_update"]) == (0.0087, 8192)
-    assert figures["megabytes"] == sum(path.stat().st_size for path in (tmp_path / "tiny").iterdir()) / 1e6
     assert cli.main(["zoo"]) == 0
     printed = capsys.readouterr().out
-    assert printed == table([figures, key_figures("unmeasured")]) + "\n"
-    heading, first, second = (line.split() for line in printed.splitlines())
-    assert heading == ["entry", "every", "slot", "every", "5", "every", "10", "NMAE", "bit/update", "MB"]
-    assert first == ["tiny", "0.988", "0.900", "-", "0.0087", "8192", f"{figures['megabytes']:.1f}"]
-    assert second[:-1] == ["unmeasured", "-", "-", "-", "-", "-"]
+    heading, rule, *lines = printed.splitlines()
+    assert [cell.strip() for cell in heading.strip("|").split("|")] == list(HEADINGS)
+    assert set(rule) == {"|", "-", " "}
+    first, second = ([cell.strip() for cell in line.strip("|").split("|")] for line in lines)
+    size = f"{sum(path.stat().st_size for path in (tmp_path / 'tiny').iterdir()) / 1e6:.1f}"
+    assert first == ["tiny", "64", "0.988 ± 0.012, 2", "0.900 ± 0.012, 2", "-", "-", "0.0052", "27", size]
+    assert second[:-1] == ["unmeasured", "64", *"------"]
+    assert printed == table([key_figures("tiny"), key_figures("unmeasured")]) + "\n"
+
+
+def test_the_list_says_what_the_card_says():
+    for name in entries.names():
+        text, listed = tsjepa.load(name).card, key_figures(name)
+        assert f"is {listed['command NMAE']}" in text
+        shown = {cell.strip() for cell in text.split("|")}
+        scores = [cell.rpartition(", ") for heading, cell in listed.items() if heading.startswith("every")]
+        assert len(scores) == 4
+        for score, _, failures in scores:
+            assert score in shown
+            assert f"{failures} of 100" in shown
 
 
 def test_a_card_says_what_the_figures_say():
@@ -266,13 +288,37 @@ def test_a_card_says_what_the_figures_say():
     assert not any(line.startswith("| 5 | 0.1") for line in lines)
     assert "Made by `tsjepa evaluate` at commit abc, 2026-01-01 on 2 cores of a processor." in lines
     assert 'model = tsjepa.load("tiny")' in lines
-    assert "without process noise" in text
+    assert "u = model.act(z)  # [..., m]: force (N)" in lines
+    assert "for the cart-pole, at 20 ms a slot" in text
+    assert "(2 frames of 64 x 128, 20 ms apart)" in text
+    assert "The scores hold for `tsjepa.plants.CartPole(process_noise_std=0.008)`." in text
+    assert "On recorded test trajectories the command NMAE, to the expert's, is 0.0052." in lines
     assert "Sent once" not in text
+    watched = {"state": "theta", "limit": 0.05, "unit": "rad"}
     for slot, said in ((23, "first in slot 23"), (None, "in no slot")):
-        once = row(1, 0.5) | {"update_every": "once", FIRST_SLOT: slot}
+        once = row(1, 0.5) | {"update_every": "once", FIRST_LOST: slot, "watched": watched}
         told = card("tiny", tiny(), FIGURES | {"closed_loop": [once]})
-        assert f"Sent once, the mean error of the probed angle passes 0.05 rad {said}." in told
-    assert "noise of 0.008" in card("tiny", tiny(), FIGURES | {"process_noise_std": 0.008})
+        assert f"Sent once, the mean error of the probed theta passes 0.05 rad {said}." in told
+    drawn = card("tiny", tiny(), FIGURES | {"camera": {"gl_renderer": "softpipe"}})
+    assert "a processor, pictures drawn by softpipe." in drawn
+
+
+def test_a_card_names_the_set_points_of_a_model_that_takes_some():
+    text = card("tiny", tiny(set_points=1), FIGURES)
+    assert "u = model.act(z, reference)  # [..., m]: force (N); reference [..., r]: x (m)" in text.splitlines()
+
+
+def test_a_card_of_a_recordings_model_names_no_plant():
+    model = tiny()
+    model.plant = None
+    measured = {"command_nmae": 0.1, "command_nmae_to": "action", "skill_over_copying": {"1": 0.9, "5": 0.75}}
+    text = card("tiny", model, {"open_loop": measured})
+    assert (
+        "On recorded test trajectories the command NMAE, to the recorded commands, is 0.1000; the prediction skill "
+        "over copying after 1, 5 slots is 0.900, 0.750." in text.splitlines()
+    )
+    assert yaml.safe_load(text.split("---\n")[1])["tags"] == ["control", "recording", "jepa"]
+    assert "tsjepa.plants" not in text
 
 
 def test_a_card_of_a_model_that_nobody_has_measured_claims_nothing():
@@ -283,9 +329,7 @@ def test_a_card_of_a_model_that_nobody_has_measured_claims_nothing():
 
 
 def test_a_card_of_a_controller_without_predictor_does_not_promise_one():
-    model = tiny()
-    model.has_predictor = False
-    assert kind_of(model) == "supervised"
-    text = card("tiny", model, FIGURES)
+    text = card("tiny", tiny_supervised(), FIGURES)
+    assert yaml.safe_load(text.split("---\n")[1])["tags"][-1] == "imitation-learning"
     assert "model.predict" not in text
     assert "the last command is held" in text

@@ -1,4 +1,4 @@
-"""Time in recordings: the clocks of rows and pictures, gaps, resampling to the slot, the lag from command to motion."""
+"""Time in recordings: the clocks of rows and pictures, gaps, resampling to the slot."""
 
 from __future__ import annotations
 
@@ -10,11 +10,6 @@ import numpy as np
 GAP = 5  # intervals: a longer pause is no lost picture any more but another piece
 PAUSE_S = 1.0  # commands may be sent only when they change: a shorter pause between them is no gap
 EPSILON = 1e-3  # of a slot: stamps are rounded (float32, milliseconds)
-SAME = 0.7  # correlation from which on a state counts as the answer to a command
-EXPLAINED = 0.5  # share of a state's changes that a command has to explain
-MOVING = 0.5  # correlation of a command's changes with motion in the pictures, which says less
-FEWEST_ROWS = 30  # a correlation over fewer says nothing
-LONGEST_LAG_S, LONGEST_MOTION_LAG_S = 1.5, 0.5
 
 
 @dataclass
@@ -26,6 +21,7 @@ class Clocks:
         paired: row i belongs to picture i.
         interval: median seconds from one picture to the next.
         offset: seconds that the clock of the rows was ahead of that of the pictures.
+        breaks: steps [R - 1] at which only the clock of the rows says that something is missing, or None.
         notes: what was found, one sentence each.
     """
 
@@ -34,6 +30,7 @@ class Clocks:
     paired: bool
     interval: float
     offset: float = 0.0
+    breaks: np.ndarray | None = None
     notes: list[str] = field(default_factory=list)
 
 
@@ -127,11 +124,13 @@ def match_clocks(
     if interval is None:
         raise ValueError("its times do not move forward.")
     if offset is not None:
-        return Clocks(row_times - offset, frame_times, False, interval, offset, notes)
+        return Clocks(row_times - offset, frame_times, False, interval, offset, notes=notes)
     if alike:
         ahead = row_times[:pairs] - frame_times[:pairs]
         found = float(np.median(ahead))
-        drift = float(np.polyfit(np.arange(pairs), ahead, 1)[0] * pairs) if pairs > 2 else 0.0
+        steps = np.diff(row_times[:pairs])
+        breaks = (steps < 0) | (steps > GAP * interval)
+        drift = float(np.polyfit(np.arange(pairs), ahead, 1)[0] * pairs) if pairs > 2 and not breaks.any() else 0.0
         if abs(drift) > interval / 2:
             notes.append(
                 f"the clocks of rows and pictures drift apart by {1000 * drift:.0f} ms over the episode; row i is "
@@ -139,14 +138,14 @@ def match_clocks(
             )
         if abs(found) > interval / 20:
             notes.append(offset_sentence(found, interval))
-        return Clocks(frame_times[:pairs], frame_times, True, interval, found, notes)
+        return Clocks(frame_times[:pairs], frame_times, True, interval, found, breaks, notes)
     common = min(row_times.max(), frame_times.max()) - max(row_times.min(), frame_times.min())
     shorter = min(np.ptp(row_times), np.ptp(frame_times))
     found = 0.0 if common > shorter / 2 else float(row_times.min() - frame_times.min())
     if found:
         notes.append(f"the clocks of rows and pictures have nothing in common; their starts are laid together "
                      f"({found:+.3f} s).")  # fmt: skip
-    return Clocks(row_times - found, frame_times, False, interval, found, notes)
+    return Clocks(row_times - found, frame_times, False, interval, found, notes=notes)
 
 
 def offset_sentence(offset: float, interval: float) -> str:
@@ -177,13 +176,14 @@ def cut(clocks: Clocks, usable: np.ndarray, slot: float | None, row_needed: bool
     slot = clocks.interval if own else slot
     if clocks.paired:
         times = clocks.frames[: len(usable)]
-        runs = _runs(times, usable, GAP * clocks.interval, notes)
+        runs = _runs(times, usable, GAP * clocks.interval, notes, clocks.breaks)
         pieces = []
         for first, last in runs:
             extra = last < len(clocks.frames) and (last < len(usable) or not row_needed)
             extra = extra and 0 <= clocks.frames[last] - clocks.frames[last - 1] <= GAP * clocks.interval
-            if last < len(usable) and row_needed and not usable[last]:
-                extra = False
+            if last < len(usable):
+                extra = extra and not (row_needed and not usable[last])
+                extra = extra and not (clocks.breaks is not None and clocks.breaks[last - 1])
             frame = np.arange(first, last + extra)
             row = frame.clip(max=len(usable) - 1)
             pieces.append(_fit(clocks.frames[frame], clocks.frames[row], frame, row, slot, slot / 2 if own else None))
@@ -194,13 +194,21 @@ def cut(clocks: Clocks, usable: np.ndarray, slot: float | None, row_needed: bool
     return [piece for piece in pieces if len(piece.frame)], notes
 
 
-def _runs(times: np.ndarray, usable: np.ndarray, gap: float, notes: list[str]) -> list[tuple[int, int]]:
+def _runs(
+    times: np.ndarray, usable: np.ndarray, gap: float, notes: list[str], further: np.ndarray | None = None
+) -> list[tuple[int, int]]:
     """Stretches [first, last) without a gap, a step back or a row that cannot be used."""
     steps = np.diff(times)
     gaps = steps[steps > gap]
     if len(gaps):
         notes.append(f"{len(gaps)} gaps of up to {gaps.max():.1f} s split it.")
     breaks = (steps > gap) | (steps < 0)
+    if further is not None:
+        more = further[: len(breaks)] & ~breaks
+        if more.any():
+            notes.append(f"the clock of the rows jumps {int(more.sum())} times where that of the pictures does not; it "
+                         "is split there.")  # fmt: skip
+        breaks |= further[: len(breaks)]
     bounds = [0, *(np.flatnonzero(breaks) + 1).tolist(), len(times)]
     runs = []
     for first, last in pairwise(bounds):
@@ -251,73 +259,3 @@ def _unpaired(clocks: Clocks, order: np.ndarray, slot: float, notes: list[str]) 
 def newest(times: np.ndarray, at: np.ndarray, slot: float) -> np.ndarray:
     """Index of the newest of ``times`` (rising) at every moment of ``at``, never a later one; the first before all."""
     return (np.searchsorted(times, at + EPSILON * slot, side="right") - 1).clip(min=0)
-
-
-def command_lag(action: np.ndarray, response: np.ndarray, interval: float, same: bool) -> tuple[int, int, int] | None:
-    """Rows by which the response follows the command, and the range over the columns; None where it cannot be told.
-
-    Where command and state are the same quantities, each column's lag is where its correlation is highest, and the
-    median of the columns that follow counts. Where they are not, it is the lag at which the command explains most of
-    the state's next change (least squares beside the state itself). Motion in the pictures is compared with the size of
-    the command's changes.
-
-    Args:
-        action: commands [T, m].
-        response: states [T, n] with n > 1, or motion from one picture to the next [T - 1, 1].
-        interval: seconds between rows.
-        same: the columns of both are the same quantities.
-    """
-    longest = min(len(action) // 3, max(2, round(LONGEST_LAG_S / interval)))
-    if len(action) < FEWEST_ROWS or longest < 2:
-        return None
-    if same:
-        peaks = [_peak(action[:, column], response[:, column], longest) for column in range(action.shape[1])]
-        lags = [lag for lag, correlation in peaks if correlation >= SAME and lag < longest]
-    elif response.shape[1] > 1:
-        explained = _explained(action, response, longest)
-        lags = [int(explained.argmax())] if explained.max() >= EXPLAINED else []
-    else:
-        longest = min(longest, max(2, round(LONGEST_MOTION_LAG_S / interval)))
-        change = np.linalg.norm(np.diff(action, axis=0) / (action.std(axis=0) + 1e-9), axis=1)
-        lag, correlation = _peak(change, response[: len(change), 0], longest)
-        lags = [lag] if correlation >= MOVING and lag < longest else []
-    if not lags:
-        return None
-    low, middle, high = np.percentile(lags, [10, 50, 90])
-    return round(middle), round(low), round(high)
-
-
-def _peak(cause: np.ndarray, effect: np.ndarray, longest: int) -> tuple[int, float]:
-    """Lag at which the correlation of two series is highest, and that correlation."""
-    best = (0, -1.0)
-    for lag in range(longest + 1):
-        first, second = cause[: len(cause) - lag].astype(float), effect[lag:].astype(float)
-        first, second = first - first.mean(), second - second.mean()
-        norm = np.sqrt((first @ first) * (second @ second))
-        correlation = float(first @ second / norm) if norm > 1e-9 else 0.0
-        if correlation > best[1] + 1e-9:
-            best = (lag, correlation)
-    return best
-
-
-def _explained(action: np.ndarray, state: np.ndarray, longest: int) -> np.ndarray:
-    """Share [longest + 1] of the state's next change that the command of ``lag`` rows ago explains, by lag."""
-    state = (state - state.mean(axis=0)) / (state.std(axis=0) + 1e-9)
-    action = (action - action.mean(axis=0)) / (action.std(axis=0) + 1e-9)
-    now = np.arange(longest, len(state) - 1)
-    if len(now) < 2 * (state.shape[1] + action.shape[1] + 1):
-        return np.zeros(longest + 1)
-    change = state[now + 1] - state[now]
-    alone = np.column_stack([state[now], np.ones(len(now))])
-
-    def left_over(columns: np.ndarray) -> np.ndarray:
-        return ((change - columns @ np.linalg.lstsq(columns, change, rcond=None)[0]) ** 2).sum(axis=0)
-
-    before = left_over(alone)
-    live = before > 1e-9 * len(now)
-    if not live.any():
-        return np.zeros(longest + 1)
-    shares = [
-        1 - left_over(np.column_stack([alone, action[now - lag]]))[live] / before[live] for lag in range(longest + 1)
-    ]
-    return np.max(shares, axis=1)

@@ -23,7 +23,7 @@ from tsjepa.data.lerobot_layout import (
     write_tasks,
 )
 from tsjepa.data.lerobot_stats import Statistics
-from tsjepa.data.storage import open_split, read_metadata
+from tsjepa.data.storage import open_split, read_metadata, spec_of
 from tsjepa.support.files import replace_folder
 from tsjepa.support.foreign import optional
 
@@ -64,7 +64,8 @@ def export_data(
 
 
 def _write(path: Path, folder: Path, metadata: dict, task: str, codec: str) -> None:
-    slot = float(metadata["sampling_interval"])
+    spec = spec_of(metadata)
+    slot = spec.slot
     spans, entries, start = {}, [], 0
     whole = Statistics()
     for index, name in enumerate(metadata["splits"]):
@@ -85,7 +86,7 @@ def _write(path: Path, folder: Path, metadata: dict, task: str, codec: str) -> N
     (folder / "meta/stats.json").write_text(json.dumps(whole.summary(), indent=4) + "\n")
     info = {
         "codebase_version": VERSION,
-        "robot_type": metadata.get("plant", "unknown") if isinstance(metadata.get("plant"), str) else "unknown",
+        "robot_type": str((metadata.get("plant") or {}).get("class_path", "unknown")).rpartition(".")[2],
         "total_episodes": len(entries),
         "total_frames": start,
         "total_tasks": 1,
@@ -96,7 +97,7 @@ def _write(path: Path, folder: Path, metadata: dict, task: str, codec: str) -> N
         "splits": spans,
         "data_path": DATA_PATH,
         "video_path": VIDEO_PATH,
-        "features": features(split, metadata.get("spec") or {}, _rate(slot), codec),
+        "features": features(split, spec, _rate(slot), codec),
     }
     (folder / "meta/info.json").write_text(json.dumps(info, indent=4) + "\n")
 

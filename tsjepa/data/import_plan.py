@@ -6,10 +6,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from tsjepa.data.clock import Piece, command_lag, cut, match_clocks
+from tsjepa.data.clock import Piece, cut, match_clocks
+from tsjepa.data.lag import command_lag
 from tsjepa.data.readers import Episode, Recording, Skipped
-from tsjepa.data.readers.episode import UNKNOWN
+from tsjepa.data.readers.episode import all_of
 from tsjepa.support.foreign import reason
+from tsjepa.support.spec import UNKNOWN
 
 SAME_RATE = 0.05  # relative difference of two episodes' intervals that is still one rate
 CLAIMED_RATE = 0.01  # a measured interval this near to the claimed one is taken for it
@@ -67,14 +69,14 @@ def plan_import(recording: Recording, slot: float | None = None, offset: float |
         ValueError: nothing of it can be used; the sentence says why.
     """
     skipped, notes, ready = [], [], []
-    for item in recording.episodes():
+    for item in all_of(recording):
         if isinstance(item, Skipped):
             skipped.append(item)
             continue
         try:
-            if ready:
-                _same_columns(ready[0][0], item)
             episode = _without_dead_state(item)
+            if ready:
+                _same_columns(ready[0][0], episode)
             clocks = match_clocks(
                 episode.times,
                 episode.frames.times,
@@ -110,6 +112,8 @@ def plan_import(recording: Recording, slot: float | None = None, offset: float |
             parts.append(Part(name, episode, piece, episode.action[piece.row], state))
         lags.append(_lag(episode, slot))
         notes += [f"{episode.name}: {note}" for note in [*episode.notes, *clocks.notes, *cut_notes]]
+    if not parts:
+        raise ValueError(_nothing(skipped))
     first = ready[0][0]
     known = [lag for lag in lags if lag is not None]
     plan = Plan(

@@ -10,13 +10,16 @@ from typing import Literal
 import cv2
 import numpy as np
 
-from tsjepa.data.clock import command_lag
+from tsjepa.data.cutting import Taken, split_trajectories
 from tsjepa.data.import_plan import Part, Plan, plan_import
+from tsjepa.data.lag import command_lag
 from tsjepa.data.readers import Frames, Skipped, Streams, open_recording
+from tsjepa.data.readers.episode import read_pictures
 from tsjepa.data.report import import_report, import_table
-from tsjepa.data.writing import Trajectory, write_data_set
+from tsjepa.data.writing import write_data_set
 from tsjepa.support.checks import at_least, within
 from tsjepa.support.foreign import reason
+from tsjepa.support.spec import PlantSpec
 
 BLOCK_BYTES = 32 << 20  # of decoded pictures in memory at a time
 
@@ -30,8 +33,8 @@ def import_recording(
     validation: float = 0.1,
     test: float = 0.1,
     camera: str | None = None,
-    action: list[str] | None = None,
-    state: list[str] | None = None,
+    action: list[str] | str | None = None,
+    state: list[str] | str | None = None,
     time: str | None = None,
     rate_hz: float | None = None,
     offset: float | Literal["auto"] = "auto",
@@ -53,7 +56,8 @@ def import_recording(
         slots: T; a trajectory has T commands and T + 1 pictures.
         validation, test: shares of the episodes that are held out.
         camera: image stream to take.
-        action, state, time: columns, keys or topics of commands, state and times, where their names do not say it.
+        action, state, time: columns, keys or topics of commands, state and times, where their names do not say it;
+            several with commas between them.
         rate_hz: pictures a second, where neither pictures nor rows have times.
         offset: seconds by which the clock of the rows is ahead of that of the pictures; found when auto.
         strict: refuse the recording if anything of it cannot be used.
@@ -87,16 +91,15 @@ def import_recording(
             _refuse(plan.skipped)
         if not taken:
             raise ValueError(f"No picture can be used: {plan.skipped[-1].name}: {plan.skipped[-1].reason}")
-        splits = _split(taken, raw, size or taken[0][2], slots, validation, test, seed)
+        splits = split_trajectories(taken, raw, size or taken[0][2], slots, validation, test, seed)
         report = import_report(plan, recording.format, splits)
         metadata = {
             "made_by": "tsjepa import",
             "source": {"format": recording.format, "name": Path(path).resolve().name},
-            "splits": {name: {"episodes": len(trajectories)} for name, trajectories in splits.items()},
-            "sampling_interval": plan.slot,
+            "splits": {name: {"episodes": len(trajectories), "slots": slots} for name, trajectories in splits.items()},
             "slots": slots,
             "seed": seed,
-            "spec": _spec(plan, parts, size or taken[0][2]),
+            "spec": _spec(plan, parts, size or taken[0][2]).to_dict(),
         }
         write_data_set(folder, splits, metadata, {"import.json": json.dumps(report, indent=2) + "\n"})
     finally:
@@ -135,9 +138,7 @@ def _long_enough(plan: Plan, slots: int) -> list[Part]:
     return parts
 
 
-def _decode(
-    parts: list[Part], plan: Plan, size: tuple[int, int] | None, slots: int, file
-) -> Iterator[tuple[Part, int, tuple[int, int]]]:
+def _decode(parts: list[Part], plan: Plan, size: tuple[int, int] | None, slots: int, file) -> Iterator[Taken]:
     """Writes the resized pictures of every part one after the other; yields parts, their first byte and size."""
     own: tuple[int, int] | None = None
     lags: list[tuple[int, int, int] | None] = []
@@ -193,10 +194,10 @@ def _blocks(frames: Frames, indices: np.ndarray) -> Iterator[tuple[np.ndarray, n
     for first in range(0, len(indices), step):
         part = slice(first, first + step)
         try:
-            pictures = frames.read(indices[part])
+            pictures = read_pictures(frames, indices[part])
         except ValueError:  # up to the one that fails, they are good
             for place in range(first, min(first + step, len(indices))):
-                yield frames.read(indices[place : place + 1]), repeated[place : place + 1]
+                yield read_pictures(frames, indices[place : place + 1]), repeated[place : place + 1]
             continue
         yield pictures, repeated[part]
 
@@ -208,63 +209,22 @@ def resize(picture: np.ndarray, height: int, width: int) -> np.ndarray:
     return cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA)
 
 
-def _split(
-    taken: list[tuple[Part, int, tuple[int, int]]], raw: Path, size: tuple[int, int], slots: int,
-    validation: float, test: float, seed: int,
-) -> dict[str, list[Trajectory]]:  # fmt: skip
-    """Trajectories by split; pieces are held out whole, or where there are fewer than three, their last stretches."""
-    units: list[list[Trajectory]] = []
-    for part, start, _ in taken:
-        frames = len(part.piece.frame)
-        pixels = np.memmap(raw, np.uint8, "r", start, (frames, *size, 3))
-        if len(taken) >= 3:
-            units.append([_trajectory(part, pixels, first, slots) for first in starts(frames, slots)])
-        else:  # stretches that share no picture
-            rest = frames % (slots + 1)
-            units.append([_trajectory(part, pixels, first, slots) for first in starts(slots + 1 + rest, slots)])
-            later = range(slots + 1 + rest, frames, slots + 1)
-            units += [[_trajectory(part, pixels, first, slots)] for first in later]
-    order = np.arange(len(units))
-    if len(taken) >= 3:
-        order = np.random.default_rng([seed, 19]).permutation(order)
-    held = {}
-    for name, share in (("test", test), ("validation", validation)):
-        wanted = max(1, round(share * len(units))) if share > 0 else 0
-        wanted = min(wanted, len(order) - 1)
-        held[name], order = sorted(order[len(order) - wanted :]), order[: len(order) - wanted]
-    chosen = {"train": sorted(order), "validation": held["validation"], "test": held["test"]}
-    return {
-        name: [trajectory for place in places for trajectory in units[place]]
-        for name, places in chosen.items()
-        if len(places)
-    }
-
-
-def starts(frames: int, slots: int) -> list[int]:
-    """First frames of the trajectories of a piece: neighbours share one frame, the last overlaps its predecessor."""
-    regular = list(range(0, frames - slots, slots))
-    return regular if regular[-1] == frames - slots - 1 else [*regular, frames - slots - 1]
-
-
-def _trajectory(part: Part, pixels: np.ndarray, first: int, slots: int) -> Trajectory:
-    rows = slice(first, first + slots + 1)
-    action = part.action[rows].copy()
-    action[-1] = 0  # its result is not in this trajectory
-    trajectory = {"pixels": pixels[rows], "action": action}
-    if part.state is not None:
-        trajectory["state"] = part.state[rows]
-    return trajectory
-
-
-def _spec(plan: Plan, parts: list[Part], size: tuple[int, int]) -> dict:
+def _spec(plan: Plan, parts: list[Part], size: tuple[int, int]) -> PlantSpec:
+    """The recording's own names, units and measured ranges."""
     used = np.concatenate([part.action[: len(part.piece.frame) - 1] for part in parts])
-    return {
-        "state_names": plan.state_names,
-        "state_units": plan.state_units,
-        "action_names": plan.action_names,
-        "action_units": plan.action_units,
-        "action_low": used.min(axis=0).tolist(),
-        "action_high": used.max(axis=0).tolist(),
-        "frame": list(size),
-        "slot": plan.slot,
-    }
+    low, high = used.min(axis=0), used.max(axis=0)
+    # a command that never changed has a range all the same, or nothing could be divided by it
+    low, high = np.where(low < high, low, low - 0.5), np.where(low < high, high, high + 0.5)
+    states = [part.state[: len(part.piece.frame)] for part in parts if part.state is not None]
+    largest = np.max([np.abs(state).max(axis=0) for state in states], axis=0) if states else np.zeros(0)
+    return PlantSpec(
+        action_low=tuple(low.tolist()),
+        action_high=tuple(high.tolist()),
+        slot=plan.slot,
+        frame=size,
+        state_names=tuple(plan.state_names),
+        state_units=tuple(plan.state_units),
+        state_scale=tuple(np.where(largest > 0, largest, 1.0).tolist()),
+        action_names=tuple(plan.action_names),
+        action_units=tuple(plan.action_units),
+    )

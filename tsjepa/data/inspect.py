@@ -12,7 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from tsjepa.data.import_plan import Plan, plan_import
-from tsjepa.data.readers import Episode, Recording, Skipped, Streams, open_recording
+from tsjepa.data.readers import Episode, Recording, Skipped, Streams, UnknownFormat, open_recording
+from tsjepa.data.readers.episode import all_of, read_pictures
 from tsjepa.data.report import coding_notes, lag_note
 
 LOOK_S = 2.5  # for opening episodes; a recording of thousands is judged by its first ones
@@ -24,8 +25,8 @@ def inspect_recording(
     path: str,
     json: bool = False,
     camera: str | None = None,
-    action: list[str] | None = None,
-    state: list[str] | None = None,
+    action: list[str] | str | None = None,
+    state: list[str] | str | None = None,
     time: str | None = None,
     rate_hz: float | None = None,
     reader: str | None = None,
@@ -45,7 +46,14 @@ def inspect_recording(
     Raises:
         FileNotFoundError, ValueError: there is nothing that can be used; one sentence.
     """
-    recording = Looked(open_recording(path, Streams(camera, action, state, time, rate_hz), reader))
+    try:
+        recording = Looked(open_recording(path, Streams(camera, action, state, time, rate_hz), reader))
+    except UnknownFormat:
+        if (report := _trace(path)) is None:
+            raise
+        result, said = report
+        print(json_module.dumps(result, indent=2) if json else said)
+        return result
     plan = plan_import(recording)
     first = plan.parts[0].episode
     longest = max(len(part.piece.frame) for part in plan.parts)
@@ -53,12 +61,13 @@ def inspect_recording(
     words += ["--slots", str(min(100, longest - 1))] if longest <= 100 else []
     words += ["--camera", camera or recording.camera] if camera or len(recording.cameras) > 1 else []
     for option, value in (("action", action), ("state", state)):
-        words += [f"--{option}", json_module.dumps(value)] if value else []
+        words += [f"--{option}", value if isinstance(value, str) else ",".join(value)] if value else []
     for option, value in (("time", time), ("rate_hz", rate_hz), ("reader", reader)):
         words += [f"--{option}", str(value)] if value else []
     result = {
         "format": recording.format,
         "cameras": recording.cameras,
+        "others": getattr(recording.recording, "others", []),
         "episodes": [_episode(episode, plan) for episode in recording.seen],
         "streams": _streams(recording, plan),
         "slot_s": plan.slot,
@@ -70,6 +79,24 @@ def inspect_recording(
     }
     print(json_module.dumps(result, indent=2) if json else _text(path, result))
     return result
+
+
+def _trace(path: str) -> tuple[dict, str] | None:
+    """The report on a log of a radio link or a folder of them, as values and as text; None where it is none."""
+    from tsjepa.radio import trace_import  # with it comes torch, which takes seconds
+
+    try:
+        logs, skipped = trace_import.read_logs(Path(path), {}, None)
+    except ValueError:
+        return None
+    words = ["tsjepa", "trace", "import", path, f"{Path(path).resolve().stem}.parquet"]
+    devices = [trace_import.describe(name, log) for name, log in logs.items()]
+    result = {"devices": devices, "skipped": skipped, "command": shlex.join(words)}
+    return result, trace_import.text(result) + _import_with(result)
+
+
+def _import_with(result: dict) -> str:
+    return f"\nimport it with\n  {result['command']}"
 
 
 class Looked:
@@ -88,7 +115,7 @@ class Looked:
     def episodes(self) -> Iterator[Episode | Skipped]:
         """Episodes as the recording gives them, until the time is up."""
         end = time.monotonic() + LOOK_S
-        for item in self.recording.episodes():
+        for item in all_of(self.recording):
             yield item
             if isinstance(item, Episode):
                 self.seen.append(item)
@@ -124,7 +151,8 @@ def _streams(recording: Recording, plan: Plan) -> list[dict]:
         {
             "name": "pixels",
             "shape": [frames.height, frames.width, 3],
-            "dtype": frames.coding,
+            "dtype": "uint8",
+            "coding": frames.coding,
             "rate_hz": measured_rate(frames.times),
             "claimed_hz": recording.rate_hz,
         }
@@ -136,8 +164,8 @@ def _streams(recording: Recording, plan: Plan) -> list[dict]:
         values = [getattr(part, kind) for part in plan.parts if getattr(part, kind) is not None]
         if not values:
             continue
-        low = np.min([part.min(axis=0) for part in values], axis=0)
-        high = np.max([part.max(axis=0) for part in values], axis=0)
+        low = np.min([np.nanmin(part, axis=0) for part in values], axis=0)
+        high = np.max([np.nanmax(part, axis=0) for part in values], axis=0)
         streams.append(
             {
                 "name": kind,
@@ -158,7 +186,7 @@ def _streams(recording: Recording, plan: Plan) -> list[dict]:
 def _still(episode: Episode) -> list[str]:
     """Whether the first pictures change."""
     try:
-        pictures = episode.frames.read(np.arange(min(LOOKED_AT, episode.frames.count)))
+        pictures = read_pictures(episode.frames, np.arange(min(LOOKED_AT, episode.frames.count)))
     except ValueError as error:
         return [str(error)]
     finally:
@@ -180,7 +208,8 @@ def _text(path: str, result: dict) -> str:
         measured = f"{stream['rate_hz']:.4g}" if stream["rate_hz"] else "unknown"
         claimed = f"{stream['claimed_hz']:g}" if stream["claimed_hz"] else "nothing"
         lines.append(
-            f"  {stream['name']}: {stream['shape']} {stream['dtype']}, {measured} Hz measured, {claimed} claimed"
+            f"  {stream['name']}: {stream['shape']} {stream.get('coding', stream['dtype'])}, {measured} Hz measured, "
+            f"{claimed} claimed"
         )
         for column in stream.get("columns", [])[:LISTED]:
             span = (
@@ -191,6 +220,9 @@ def _text(path: str, result: dict) -> str:
             lines.append(f"    {column['name']} [{column['unit']}]: {span}")
         if len(stream.get("columns", [])) > LISTED:
             lines.append(f"    ... and {len(stream['columns']) - LISTED} more")
+    if result["others"]:
+        more = f", ... ({len(result['others'])})" if len(result["others"]) > LISTED else ""
+        lines.append(f"also there: {', '.join(result['others'][:LISTED])}{more}")
     lines += [f"note     {note}" for note in result["notes"]]
     lines += [f"skipped  {entry['name']}: {entry['reason']}" for entry in result["skipped"]]
-    return "\n".join([*lines, "import it with", f"  {result['command']}"])
+    return "\n".join(lines) + _import_with(result)

@@ -8,6 +8,7 @@ from pathlib import Path
 from tensordict import TensorDict
 
 from tsjepa.support.foreign import optional
+from tsjepa.support.spec import PlantSpec
 
 CAMERA = "observation.images.view"
 VERSION = "v3.0"
@@ -20,7 +21,7 @@ CODECS = {
 }
 
 
-def features(split: TensorDict, spec: dict, rate: float, codec: str) -> dict:
+def features(split: TensorDict, spec: PlantSpec, rate: float, codec: str) -> dict:
     """The features of info.json: shapes, types and the plant's own names."""
     height, width = split["pixels"].shape[2:4]
     _, _, _, name, layout = CODECS[codec]
@@ -28,7 +29,7 @@ def features(split: TensorDict, spec: dict, rate: float, codec: str) -> dict:
     for key, kind in (("observation.state", "state"), ("action", "action")):
         if kind in keys:
             size = split[kind].shape[-1]
-            names = spec.get(f"{kind}_names") or [f"{kind}_{column}" for column in range(size)]
+            names = getattr(spec, f"{kind}_names") or [f"{kind}_{column}" for column in range(size)]
             found[key] = {"dtype": "float32", "shape": [size], "names": list(names)}
     found[CAMERA] = {
         "dtype": "video",

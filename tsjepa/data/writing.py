@@ -6,13 +6,12 @@ import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-import cv2
 import numpy as np
 import torch
 from tensordict import TensorDict
 
 from tsjepa.data.contact_sheet import contact_sheet
-from tsjepa.data.storage import publish
+from tsjepa.data.storage import check_space, publish, write_picture
 
 Trajectory = Mapping[str, np.ndarray]
 
@@ -35,13 +34,11 @@ def write_data_set(
     folder.parent.mkdir(parents=True, exist_ok=True)
     first = next(iter(splits.values()))[0]
     count = sum(len(trajectories) for trajectories in splits.values())
-    needed, free = count * sum(array.nbytes for array in first.values()), shutil.disk_usage(folder.parent).free
-    if free < needed:
-        raise OSError(f"The data set needs {needed / 1e6:.0f} MB, and {folder.parent} has {free / 1e6:.0f} MB free.")
     partial = folder.with_name(folder.name + ".partial")
     shutil.rmtree(partial, ignore_errors=True)
     partial.mkdir()
     try:
+        check_space(partial, count * sum(array.nbytes for array in first.values()))
         stored = {}
         for name, trajectories in splits.items():
             frames = len(first["action"])
@@ -56,7 +53,7 @@ def write_data_set(
                 for key, array in trajectory.items():
                     split[key][place] = torch.from_numpy(np.array(array))
             stored[name] = split
-        cv2.imwrite(str(partial / "contact_sheet.png"), contact_sheet(stored)[..., ::-1])
+        write_picture(partial / "contact_sheet.png", contact_sheet(stored))
         for name, text in (files or {}).items():
             (partial / name).write_text(text)
         publish(partial, folder, metadata)

@@ -141,9 +141,12 @@ def radio_end(
             resource_blocks=radio.resource_blocks,
             payload_bits=bits,
             units=None if bits is None else radio.units(plant.spec.slot),
+            sampling_interval=plant.spec.slot,
             csi=radio.csi,
             csi_delay=radio.csi_delay,
             snr_threshold_db=radio.snr_threshold_db,
+            max_doppler_hz=radio.max_doppler_hz,
+            loss=radio.loss,
         )
     )
     uplink = Uplink(radio.snr_threshold_db, lossless=lossless)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from tsjepa.radio import Deployment, GilbertElliott, IidLoss, units_per_slot
-from tsjepa.radio.simulation import check_csi
+from tsjepa.radio.belief import check_csi
 from tsjepa.support.checks import at_least, within
 
 FULL_BANDWIDTH_MHZ = 20.0
@@ -27,7 +27,7 @@ class Radio:
         snr_target_db: mean SNR that power control gives every device; None transmits at ``tx_power_dbm``.
         tx_power_dbm: fixed transmit power.
         snr_threshold_db: SNR below which a packet is lost.
-        csi: what the scheduler knows of the channel: "perfect", "delayed" or "statistical".
+        csi: what the scheduler knows of the channel: "perfect", "delayed", "statistical", or "acks" alone.
         csi_delay: slots by which delayed knowledge lags.
         max_doppler_hz: 0 for fading that is independent from slot to slot.
         deployment: positions and propagation.

@@ -7,12 +7,27 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from tsjepa.envs import Radio
+from tsjepa.envs.make import check_fit
 from tsjepa.evaluation.rollouts import Loop
-from tsjepa.models import Controller
+from tsjepa.models import Controller, entries
 from tsjepa.plants import Plant, build_plant
 from tsjepa.support.checks import at_least
 
 SEEDS, STARTS_PER_SEED, SLOTS = 5, 20, 100
+
+
+def load_on(name: str, device: str) -> Controller:
+    """The model of a name or a folder, computing on ``device``.
+
+    Raises:
+        FileNotFoundError: there is no such model.
+        ValueError: there is no such device.
+    """
+    model = entries.load(name)
+    try:
+        return model.to(device)
+    except (RuntimeError, AssertionError) as error:
+        raise ValueError(f"The device {device!r} cannot be used here: {str(error).splitlines()[0]}") from error
 
 
 def plant_of(
@@ -51,8 +66,9 @@ def held_out_loop(
     """The loop of ``model`` on a lossless link; what is None is as in its figures, else as the constants above say.
 
     Raises:
-        ValueError: a number below 1.
+        ValueError: a number below 1, or a plant that the model does not fit.
     """
+    check_fit(model, plant)
     figures = model.metrics or {}
     starts_per_seed = figures.get("starts_per_seed", STARTS_PER_SEED) if starts_per_seed is None else starts_per_seed
     slots = figures.get("slots", SLOTS) if slots is None else slots

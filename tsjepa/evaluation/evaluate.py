@@ -15,14 +15,13 @@ from tqdm import tqdm
 
 from tsjepa.data.storage import read_metadata
 from tsjepa.envs.make import EXACT, HOLD, LOSSLESS, ZERO, at_weights, state_is_physics
-from tsjepa.evaluation.conditions import SEEDS, held_out_loop, plant_of, warn_of_another_renderer
+from tsjepa.evaluation.conditions import SEEDS, held_out_loop, load_on, plant_of, warn_of_another_renderer
 from tsjepa.evaluation.films import look_inside
 from tsjepa.evaluation.metrics import Run
 from tsjepa.evaluation.open_loop import open_loop_metrics
 from tsjepa.evaluation.pictures import horizon_plot, loop_plot
 from tsjepa.evaluation.rollouts import ONCE, Loop, every, perfect_feedback, run
 from tsjepa.evaluation.summary import score_by_slot, summary, table, watched_figures
-from tsjepa.models import entries
 from tsjepa.plants import describe_plant
 from tsjepa.support.checks import at_least, within
 from tsjepa.support.files import write_text
@@ -81,7 +80,7 @@ def evaluate(
     """
     at_least(0, **{f"periods[{i}]": period for i, period in enumerate(periods)})
     within(0, 1, blend=blend)
-    controller = entries.load(model).to(device)
+    controller = load_on(model, device)
     metadata = read_metadata(data) if data else None  # a missing data set is said before the loops are run
     machine = plant_of(controller, plant, process_noise_std)
     if machine is None and not data:

@@ -32,7 +32,7 @@ def open_loop_metrics(model: Controller, data: str, split: str = "test") -> dict
     if not model.has_predictor:
         return figures
     skill = prediction_skill(model.predictor, embedded["embedding"], embedded["action"], SKILL_HORIZONS)
-    figures["action_sensitivity"] = float(action_sensitivity(model.predictor, rows["embedding"]))
+    figures["action_sensitivity"] = float(action_sensitivity(model.predictor, rows["embedding"], model.spec))
     figures["skill_over_copying"] = {str(horizon): float(value) for horizon, value in skill.items()}
     if "probe_rmse" in figures:
         longest = min(LONGEST_HORIZON, embedded.shape[1] - 1)

@@ -16,7 +16,7 @@ from tqdm import tqdm
 from tsjepa.envs import Radio
 from tsjepa.envs.make import HOLD, ON_STATE
 from tsjepa.evaluation import search as sizes_served
-from tsjepa.evaluation.conditions import plant_of, warn_of_another_renderer
+from tsjepa.evaluation.conditions import load_on, plant_of, warn_of_another_renderer
 from tsjepa.evaluation.fleet_film import Shown, fleet_film
 from tsjepa.evaluation.fleet_pictures import age_plot, capacity_plot, device_plot
 from tsjepa.evaluation.fleet_summary import as_csv, device_rows, summary, table
@@ -144,7 +144,7 @@ def load_controller(name: str, device: str = "cpu") -> str | Controller:
     if name in ON_STATE:
         return name
     try:
-        return entries.load(name).to(device)
+        return load_on(name, device)
     except FileNotFoundError as error:
         known = ", ".join((*ON_STATE, *entries.names()))
         raise FileNotFoundError(

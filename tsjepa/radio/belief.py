@@ -1,8 +1,9 @@
 """What the base station believes of each link: one class for each kind of channel knowledge.
 
-All have two methods, pure functions of tensors with I devices on the last dimension and any batch before it:
+All have three methods, pure functions of tensors with I devices on the last dimension and any batch before it:
 
     start(shape, device) -> memory [*shape, width], float64
+    restart(memory) -> memory at the start of an episode, with what outlives the one before
     step(memory, mean_snr, snr, sent, arrived) -> (memory, Link)
 
 ``step`` is called once a slot: with the channel of this slot and the outcome of the slot before, it returns what may be
@@ -11,27 +12,27 @@ Hidden loss states are never known: their probability follows from the acknowled
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from functools import cache
 
 import torch
 from torch import Tensor
 
 from tsjepa.radio import feedback, posterior
+from tsjepa.radio.feedback import AckLearned
+from tsjepa.radio.knowledge import Link
 from tsjepa.radio.loss import GilbertElliott, IidLoss
 
+_UNKNOWN = -1.0  # an SNR that was not measured
+_LAGS = 1001
 
-class Link(NamedTuple):
-    """What is believed of each link in a slot, [..., I].
 
-    Attributes:
-        snr: expected linear SNR.
-        success: probability that a transmission arrives.
-        above_threshold: bool, whether it can arrive at all: the SNR may reach the threshold.
-    """
-
-    snr: Tensor
-    success: Tensor
-    above_threshold: Tensor
+@cache
+def _correlations(max_doppler_hz: float, slot_s: float, fading: str) -> Tensor:
+    if fading == "none":
+        return torch.ones(_LAGS, dtype=torch.float64)
+    table = posterior.fading_correlation(slot_s * torch.arange(_LAGS, dtype=torch.float64), max_doppler_hz)
+    table[-1] = 0.0
+    return table
 
 
 @dataclass(frozen=True)
@@ -62,16 +63,19 @@ class PerfectCsi:
         memory[..., 0] = self.loss.bad_share if isinstance(self.loss, GilbertElliott) else 0.0
         return memory
 
+    def restart(self, memory: Tensor) -> Tensor:
+        return self.start(memory.shape[:-1], memory.device)
+
     def step(self, memory: Tensor, mean_snr: Tensor, snr: Tensor, sent: Tensor, arrived: Tensor) -> tuple[Tensor, Link]:
         bad = self._bad(memory[..., 0], sent, arrived, memory[..., 1])
-        decodable = (snr >= self.snr_threshold).to(torch.float64)
+        decodable = (snr.to(torch.float64) >= self.snr_threshold).to(torch.float64)
         return torch.stack((bad, decodable), -1), self._link(snr, decodable, bad)
 
-    def correlation(self, slots: Tensor | float) -> Tensor:
-        """Correlation of the fading over a lag in slots."""
-        if self.fading == "none":
-            return torch.ones_like(torch.as_tensor(slots, dtype=torch.float64))
-        return posterior.fading_correlation(torch.as_tensor(slots) * self.slot_s, self.max_doppler_hz)
+    def correlation(self, slots: Tensor | int) -> Tensor:
+        """Correlation of the fading over a lag in whole slots, [...] float64; 0 beyond a thousand."""
+        table = _correlations(self.max_doppler_hz, self.slot_s, self.fading)
+        lag = torch.as_tensor(slots).clamp(max=_LAGS - 1).to(torch.int64)
+        return table.to(lag.device)[lag]
 
     def _bad(self, bad: Tensor, sent: Tensor, arrived: Tensor, decodable: Tensor) -> Tensor:
         """P[bad loss state] in this slot, from that of the slot before and its outcome."""
@@ -137,7 +141,7 @@ class DelayedCsi(StatisticalCsi):
 
     def start(self, shape: tuple[int, ...], device: torch.device | str = "cpu") -> Tensor:
         memory = super().start(shape, device)
-        memory[..., 4:] = torch.nan
+        memory[..., 4:] = _UNKNOWN
         return memory
 
     def step(self, memory: Tensor, mean_snr: Tensor, snr: Tensor, sent: Tensor, arrived: Tensor) -> tuple[Tensor, Link]:
@@ -145,7 +149,7 @@ class DelayedCsi(StatisticalCsi):
         old, rho = memory[..., 4], self.correlation(self.delay)
         if self.delay == 1:
             # the measurement that came in with this slot is of the slot whose outcome came in with it
-            decodable = torch.where(old.isnan(), decodable, (old >= self.snr_threshold).to(torch.float64))
+            decodable = torch.where(old < 0, decodable, (old >= self.snr_threshold).to(torch.float64))
         above, since = self._last_outcome(decodable, self._lost(bad), above, since, sent, arrived)
         bad = self._bad(bad, sent, arrived, decodable)
         decodable = posterior.delayed_success(self.snr_threshold, mean_snr, old, rho)
@@ -157,38 +161,35 @@ class DelayedCsi(StatisticalCsi):
         return torch.cat((known, memory[..., 5:], snr.to(torch.float64).unsqueeze(-1)), -1), link
 
 
-@dataclass(frozen=True)
-class AckLearned:
-    """Nothing is known but the outcomes of what was sent; everything in ``success`` is counted, losses included.
-
-    Args:
-        snr_threshold: linear; ``snr`` is the mean that a Rayleigh link of that success probability would have.
-        discount: weight by which a count fades in a slot; 1 never forgets.
-        strength: outcomes that the fleet's overall rate is worth in the estimate of a situation.
-    """
-
-    snr_threshold: float
-    discount: float = 1.0
-    strength: float = 30.0
-
-    @property
-    def width(self) -> int:
-        return 2 * feedback.CELLS + 2
-
-    def start(self, shape: tuple[int, ...], device: torch.device | str = "cpu") -> Tensor:
-        return _pack(feedback.start_counts(shape, device))
-
-    def step(self, memory: Tensor, mean_snr: Tensor, snr: Tensor, sent: Tensor, arrived: Tensor) -> tuple[Tensor, Link]:
-        counts = feedback.update_counts(_unpack(memory), sent, arrived, self.discount)
-        success = feedback.learned_success(counts, self.strength)
-        expected = self.snr_threshold / -torch.log(success.clamp(1e-12, 1.0 - 1e-12))
-        return _pack(counts), Link(expected, success, torch.ones_like(sent))
+Belief = PerfectCsi | AckLearned
+CSI = ("perfect", "delayed", "statistical", "acks")
 
 
-def _pack(counts: feedback.AckCounts) -> Tensor:
-    return torch.cat((counts.acks, counts.sends, torch.stack(counts[2:], -1).to(torch.float64)), -1)
+def make_belief(
+    csi: str,
+    snr_threshold: float,
+    delay: int = 1,
+    loss: IidLoss | GilbertElliott | None = None,
+    max_doppler_hz: float = 0.0,
+    slot_s: float = 0.02,
+    fading: str = "rayleigh",
+) -> Belief:
+    """The class of a kind of knowledge, "perfect", "delayed", "statistical" or "acks"; arguments as of the classes."""
+    check_csi(csi, delay)
+    if fading not in ("rayleigh", "none"):
+        raise ValueError(f"unknown fading {fading!r}: choose 'rayleigh' or 'none'")
+    if csi == "acks":
+        return AckLearned(snr_threshold)
+    if csi == "delayed" and fading != "none":
+        return DelayedCsi(snr_threshold, loss, max_doppler_hz, slot_s, fading, delay)
+    # without fading the mean is the SNR, however old
+    kind = PerfectCsi if csi == "perfect" else StatisticalCsi
+    return kind(snr_threshold, loss, max_doppler_hz, slot_s, fading)
 
 
-def _unpack(memory: Tensor) -> feedback.AckCounts:
-    acks, sends, rest = memory.split((feedback.CELLS, feedback.CELLS, 2), -1)
-    return feedback.AckCounts(acks, sends, *rest.to(torch.int64).unbind(-1))
+def check_csi(csi: str, csi_delay: int) -> None:
+    """``ValueError`` unless the channel knowledge is one that is modelled."""
+    if csi not in CSI:
+        raise ValueError(f"unknown csi {csi!r}: choose one of {', '.join(CSI)}")
+    if csi_delay < 1:
+        raise ValueError(f"csi_delay {csi_delay} must be at least 1 slot; without delay use csi='perfect'")

@@ -1,4 +1,4 @@
-"""What a scheduler may know in a slot, as one value."""
+"""What a scheduler may know in a slot, and what may be believed of its links, as one value each."""
 
 from typing import NamedTuple
 
@@ -12,15 +12,17 @@ class Known(NamedTuple):
 
     Attributes:
         age: [..., I] slots since the last delivery, counted before this slot (1 = delivered in the slot before).
-        snr: [..., I] linear SNR as known (this slot's, an older slot's, or the mean).
+        snr: [..., I] linear SNR that is expected, given what is known.
         success: [..., I] probability that a transmission arrives, given what is known.
-        above_threshold: [..., I] bool, whether the known SNR reaches the threshold (the gate gamma >= gamma_th).
+        above_threshold: [..., I] bool, whether the SNR may reach the threshold, given what is known: with perfect
+            knowledge the gate gamma >= gamma_th; a link that is not known for sure is not ruled out.
         candidate: [..., I] bool, devices that may be scheduled at all.
         budget: resource units in the slot, int or [...] int64.
         memory: [..., I] float64, what the scheduler returned in the slot before, zeros at first; it outlives episodes.
         demand: [..., I] int64 resource units that each device needs, or None: one each.
         urgency: [..., I] what each device says of its own need, >= 0, or None where devices say nothing.
-        weight: [..., I] priority, > 0, by which a device's gain is multiplied, or None: all alike.
+        weight: [..., I] priority, > 0, by which ``max_weight``, ``whittle`` and ``channel_aware`` multiply a device's
+            gain, or None: all alike.
         slot: int64 slots since the device's episode began, broadcast against [..., I], or None where no plant counts.
         signalling_bits: bits that were spent in this slot to know it, int or [..., I] int64.
     """
@@ -37,3 +39,17 @@ class Known(NamedTuple):
     weight: Tensor | None = None
     slot: Tensor | None = None
     signalling_bits: int | Tensor = 0
+
+
+class Link(NamedTuple):
+    """What is believed of each link in a slot, [..., I].
+
+    Attributes:
+        snr: expected linear SNR.
+        success: probability that a transmission arrives.
+        above_threshold: bool, whether it can arrive at all: the SNR may reach the threshold.
+    """
+
+    snr: Tensor
+    success: Tensor
+    above_threshold: Tensor

@@ -8,6 +8,7 @@ import math
 
 import numpy as np
 import torch
+from scipy.special import j0
 from torch import Tensor
 
 _TAIL = 8.0
@@ -18,20 +19,21 @@ def fading_correlation(lag_s: Tensor | float, max_doppler_hz: float) -> Tensor:
     """Correlation of the fading at two instants ``lag_s`` apart: J0(2 pi f_D lag) of Clarke's (Jakes') spectrum.
 
     ``max_doppler_hz`` 0 stands for fading that is independent from slot to slot, as in ``Channel``: 1 at lag 0, else 0.
+    Computed by SciPy, since ``torch.special.bessel_j0`` is off by 3e-7 beyond an argument of 5.
     """
     lag = torch.as_tensor(lag_s, dtype=torch.float64)
     if max_doppler_hz < 0 or bool((lag < 0).any()):
         raise ValueError(f"the Doppler shift ({max_doppler_hz:g} Hz) and the lag must be at least 0")
     if max_doppler_hz == 0:
         return (lag == 0).to(torch.float64)
-    return torch.special.bessel_j0(2 * math.pi * max_doppler_hz * lag)
+    return torch.as_tensor(j0(2 * math.pi * max_doppler_hz * lag.cpu().numpy()), device=lag.device)
 
 
 def marcum_q1(a: Tensor, b: Tensor) -> Tensor:
-    """Marcum's Q function of order 1, Q1(a, b) = P[X > b^2] of a noncentral chi-square X (2 degrees, noncentrality a^2).
+    """Marcum's Q function of order 1: P[X > b^2] of a noncentral chi-square X, 2 degrees, noncentrality a^2.
 
-    The density x exp(-(x - a)^2 / 2) exp(-a x) I0(a x) is integrated over the side of b on which it falls off, 9 units
-    wide, by Gauss and Legendre's rule with 32 nodes: absolute error below 1e-11 (what is cut off is below 1e-17).
+    The density x exp(-(x - a)^2 / 2) exp(-a x) I0(a x) is integrated over the side of b on which it falls off, 8 units
+    wide, by Gauss and Legendre's rule with 20 nodes: absolute error below 1e-12.
 
     Args:
         a, b: >= 0, broadcast together.
@@ -69,12 +71,12 @@ def delayed_success(
     Args:
         threshold: g_th.
         mean_snr: g_mean > 0, broadcast with the rest.
-        old_snr: g_old; not a number where there is no measurement yet, which leaves the statistical probability.
+        old_snr: g_old; negative where there is no measurement yet, which leaves the statistical probability.
         correlation: rho between then and now.
     """
     mean, old, square = _arguments(mean_snr, old_snr, correlation)
     threshold = torch.as_tensor(threshold, dtype=torch.float64, device=mean.device)
-    blind = (square == 0) | old.isnan()
+    blind = (square == 0) | (old < 0)
     exact = (square >= 1) & ~blind
     spread = torch.where(exact, 1.0, 1.0 - square) * mean
     probability = marcum_q1(
@@ -85,9 +87,9 @@ def delayed_success(
 
 
 def expected_snr(mean_snr: Tensor, old_snr: Tensor, correlation: Tensor | float) -> Tensor:
-    """E[snr | an older SNR] = rho^2 g_old + (1 - rho^2) g_mean; the mean where ``old_snr`` is not a number."""
+    """E[snr | an older SNR] = rho^2 g_old + (1 - rho^2) g_mean; the mean where ``old_snr`` is negative."""
     mean, old, square = _arguments(mean_snr, old_snr, correlation)
-    return torch.where(old.isnan(), mean, square * old + (1.0 - square) * mean)
+    return torch.where(old < 0, mean, square * old + (1.0 - square) * mean)
 
 
 def success_after(

@@ -5,6 +5,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from tsjepa.radio.belief import check_csi
+from tsjepa.radio.feedback import AckLearned
 from tsjepa.radio.knowledge import Known
 from tsjepa.radio.link import db_to_linear
 from tsjepa.radio.schedulers import SchedulerFunction, get_scheduler
@@ -36,7 +38,6 @@ def simulate_ages(
     mean_snr_db: Tensor | float = 10.0,
     snr_threshold_db: float = 5.0,
     csi: str = "perfect",
-    csi_delay: int = 1,
     aoi_reset: str = "delivery",
     batch: int = 1,
     seed: int = 0,
@@ -51,14 +52,14 @@ def simulate_ages(
         num_devices, resource_blocks, slots: I, J and K.
         mean_snr_db: mean SNR, a number or one per device [I].
         snr_threshold_db: SNR at which a packet is decoded.
-        csi: "perfect" (this slot's SNR), "delayed" (of ``csi_delay`` slots ago), or "statistical" (its mean).
-        csi_delay: slots by which delayed CSI lags.
+        csi: "perfect" (this slot's SNR), "statistical" (its mean), "acks" (learned from acknowledgements alone), or
+            "delayed", which is the same as "statistical" here: independent fading keeps nothing of an older slot.
         aoi_reset: "delivery", or "scheduled" for the age as printed.
         batch: number of repetitions B.
         seed: seed of the fading.
         device: where to run.
     """
-    check_csi(csi, csi_delay)
+    check_csi(csi, csi_delay=1)
     if aoi_reset not in ("delivery", "scheduled"):
         raise ValueError(f"unknown aoi_reset {aoi_reset!r}: choose 'delivery' or 'scheduled'")
     if not 1 <= slots < 2**24:
@@ -70,50 +71,33 @@ def simulate_ages(
     threshold = float(db_to_linear(snr_threshold_db))
     # float32 counts exactly up to 2^24 and spares every score a conversion
     age = torch.ones(shape, device=device)
-    statistics = Known(
-        age=age,
-        snr=mean_snr,
-        success=torch.exp(-threshold / mean_snr),
-        above_threshold=mean_snr >= threshold,
-        candidate=torch.ones(shape, dtype=torch.bool, device=device),
-        budget=resource_blocks,
-        memory=torch.zeros(shape, dtype=torch.float64, device=device),
-    )
-    memory = statistics.memory
-    clock = torch.arange(slots, device=device)
+    everyone = torch.ones(shape, dtype=torch.bool, device=device)
+    memory = torch.zeros(shape, dtype=torch.float64, device=device)
+    known_snr, success, above = mean_snr, torch.exp(-threshold / mean_snr), everyone
+    learner = AckLearned(threshold) if csi == "acks" else None
+    learned = learner and learner.start(shape, device)
+    schedule = delivered = torch.zeros_like(everyone)
     grants, deliveries = _Counter(shape, device), _Counter(shape, device)
     mean_age = torch.zeros((slots, batch), dtype=torch.float64, device=device)
     draws = torch.empty((max(1, _CHUNK_ELEMENTS // (batch * num_devices)), *shape), device=device)
-    past = [mean_snr] * csi_delay
 
-    for slot in range(slots):
-        row = slot % draws.shape[0]
-        if row == 0:
-            draws = _draw_snr(draws if csi != "delayed" else torch.empty_like(draws), mean_snr, generator)
-        snr = draws[row]
-        decodable = snr >= threshold
-        known = statistics._replace(age=age, memory=memory, slot=clock[slot])
-        if csi == "perfect":
-            known = known._replace(snr=snr, success=decodable.to(snr.dtype), above_threshold=decodable)
-        elif csi == "delayed":
-            past.append(snr)
-            old = past.pop(0)
-            known = known._replace(snr=old, success=(old >= threshold).to(old.dtype), above_threshold=old >= threshold)
-        schedule, memory = decide(known)
-        delivered = schedule & decodable
-        age = torch.where(delivered if aoi_reset == "delivery" else schedule, 1.0, age.add_(1.0))
-        grants.add(schedule)
-        deliveries.add(delivered)
-        mean_age[slot] = age.mean(-1)
+    for first in range(0, slots, draws.shape[0]):
+        chunk = _draw_snr(draws[: slots - first], mean_snr, generator)
+        clock = torch.arange(first, first + len(chunk), device=device)
+        for snr, slot, mean in zip(chunk.unbind(), clock.unbind(), mean_age[first:], strict=False):
+            decodable = snr >= threshold
+            if csi == "perfect":
+                known_snr, success, above = snr, decodable.to(snr.dtype), decodable
+            elif csi == "acks":
+                learned, (known_snr, success, above) = learner.step(learned, mean_snr, snr, schedule, delivered)
+            known = Known(age, known_snr, success, above, everyone, resource_blocks, memory, slot=slot)
+            schedule, memory = decide(known)
+            delivered = schedule & decodable
+            age = torch.where(delivered if aoi_reset == "delivery" else schedule, 1.0, age.add_(1.0))
+            grants.add(schedule)
+            deliveries.add(delivered)
+            mean.copy_(age.mean(-1))
     return AgeTrace(mean_age, age.to(torch.int64), grants.total(), deliveries.total())
-
-
-def check_csi(csi: str, csi_delay: int) -> None:
-    """``ValueError`` unless the channel knowledge is one that is modelled."""
-    if csi not in ("perfect", "delayed", "statistical"):
-        raise ValueError(f"unknown csi {csi!r}: choose 'perfect', 'delayed' or 'statistical'")
-    if csi_delay < 1:
-        raise ValueError(f"csi_delay {csi_delay} must be at least 1 slot; without delay use csi='perfect'")
 
 
 class _Counter:

@@ -81,5 +81,7 @@ def parse_arguments(function: Callable, options: Sequence[str], program: str, de
 
 def _name_words(options: list[str], function: Callable) -> list[str]:
     words = itertools.takewhile(lambda option: not option.startswith("-"), options)
-    named = [f"--{name}={word}" for name, word in zip(inspect.signature(function).parameters, words, strict=False)]
+    parameters = inspect.signature(function).parameters.values()
+    places = [parameter.name for parameter in parameters if parameter.kind is not parameter.KEYWORD_ONLY]
+    named = [f"--{name}={word}" for name, word in zip(places, words, strict=False)]
     return named + options[len(named) :]

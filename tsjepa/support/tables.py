@@ -193,15 +193,22 @@ def time_column(table: Table, wanted: str | None = None) -> tuple[str, np.ndarra
         return wanted, as_seconds(table[wanted], time_scale(wanted) or 1.0)
     for name, column in table.items():
         scale = time_scale(name)
-        if scale is not None and column.dtype != object and column.ndim == 1:
-            return name, as_seconds(column, scale)
+        if scale is not None and column.ndim == 1:
+            try:
+                return name, as_seconds(column, scale)
+            except ValueError:
+                continue
     return None
 
 
 def as_seconds(stamps: np.ndarray, scale: float) -> np.ndarray:
-    """Seconds; the scale of stamps since 1970 is told by their size, whatever the column is called."""
+    """Seconds; the scale of stamps since 1970 is told by their size, whatever the column is called; dates are read."""
     if stamps.dtype == object:
-        raise ValueError("a column of times holds words instead of numbers.")
+        try:
+            stamps = np.array([str(stamp).replace(" ", "T").rstrip("Z") for stamp in stamps], dtype="datetime64[ns]")
+        except ValueError as error:
+            raise ValueError("a column of times holds words instead of numbers or dates.") from error
+        stamps = stamps.astype(np.int64)
     typical = np.nanmedian(np.abs(stamps)) if np.isfinite(stamps.astype(float)).any() else 0
     for least, of_epoch in ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3)):
         if typical >= least:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import lightning
 import torch
 from lightning.pytorch.cli import LRSchedulerCallable, OptimizerCallable
@@ -16,7 +18,7 @@ from tsjepa.support.parallel import gather
 from tsjepa.support.seeds import derive, run_seed
 from tsjepa.training.controllers import new_controller
 from tsjepa.training.embeddings import embed_patches, embed_split
-from tsjepa.training.losses import InverseDynamics, cosine_loss, covariance_loss, variance_loss
+from tsjepa.training.losses import InverseDynamics, LossTerm, cosine_loss, covariance_loss, variance_loss
 from tsjepa.training.pretrained import start_from
 from tsjepa.training.schedule import warmup_cosine_schedule
 from tsjepa.training.statistics import mean_and_std
@@ -41,6 +43,7 @@ class TSJEPA(lightning.LightningModule):
         covariance_weight: weight of the covariance term (0 in the paper).
         inverse_weight: weight of the inverse-dynamics term (0 in the paper).
         pretrained: zoo entry (name or folder) to start from, as far as sizes agree.
+        terms: of one's own, added to the loss.
     """
 
     def __init__(
@@ -55,6 +58,7 @@ class TSJEPA(lightning.LightningModule):
         covariance_weight: float = 0.01,
         inverse_weight: float = 1.0,
         pretrained: str | None = None,
+        terms: Sequence[LossTerm] = (),
     ) -> None:
         super().__init__()
         within(0, 1, ema_decay=ema_decay)
@@ -72,7 +76,7 @@ class TSJEPA(lightning.LightningModule):
         self.inverse_dynamics = InverseDynamics(encoder.embedding_dim, predictor.action_dim) if inverse_weight else None
         self.optimizer, self.scheduler = optimizer, scheduler
         self.variance_weight, self.covariance_weight = variance_weight, covariance_weight
-        self.inverse_weight = inverse_weight
+        self.inverse_weight, self.terms = inverse_weight, tuple(terms)
 
     def train(self, mode: bool = True) -> TSJEPA:
         super().train(mode)
@@ -118,6 +122,10 @@ class TSJEPA(lightning.LightningModule):
         if self.inverse_weight:
             terms["inverse_loss"] = self.inverse_loss(embedding, commands, gap)
             loss = loss + self.inverse_weight * terms["inverse_loss"]
+        for term in self.terms:
+            value = term.function(embedding, target, commands.unflatten(1, (stacks - 1, gap)))
+            terms[getattr(term.function, "__name__", "own_term")] = value
+            loss = loss + term.weight * value
         self.log_terms(terms, loss)
         return loss
 

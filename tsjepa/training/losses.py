@@ -2,9 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
+
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
+
+
+@dataclass
+class LossTerm:
+    """A term that a recipe adds to TS-JEPA's loss.
+
+    Args:
+        function: from the context embeddings [B, W, d], the target embeddings [B, W, d] and the commands between them
+            [B, W - 1, gap, m] to a scalar; named by its import path.
+        weight: by which it is multiplied.
+    """
+
+    function: Callable[[Tensor, Tensor, Tensor], Tensor]
+    weight: float = 1.0
 
 
 def cosine_loss(prediction: Tensor, target: Tensor) -> Tensor:

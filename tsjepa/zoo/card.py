@@ -41,7 +41,7 @@ USE = (
     "{name}` in a recipe)."
 )
 LIMITS = (
-    "It has seen one {machine} through one camera ({stack} frames of {height} x {width}, {interval:g} ms apart): "
+    "It has seen one {seen} through one camera ({stack} frames of {height} x {width}, {interval:g} ms apart): "
     "another camera, machine or slot length needs a model of its own, and nothing here was tried on hardware.{plant} "
     "Colours and light other than the training's were not tested."
 )
@@ -65,11 +65,12 @@ def card(name: str, model: Controller, metrics: dict) -> str:
         what.format(machine=f"the {machine}", interval=1000 * spec.slot, dim=model.embedding_dim),
         usage(name, model),
         *figures(metrics),
+        *open_loop(metrics),
         *training(metrics, spec),
         "## Use and limits",
         USE.format(name=name),
         LIMITS.format(
-            machine=machine,
+            seen=f"simulated {machine}" if model.plant else "recorded machine",
             stack=model.frame_stack,
             height=height,
             width=width,
@@ -143,6 +144,20 @@ def figures(metrics: dict) -> list[str]:
         f"Made by `{made_by['command']}` at commit {made_by['commit']}, {made_by['date']}{on}"
         f"{f', pictures drawn by {drawn}' if drawn else ''}.",
     ]
+
+
+def open_loop(metrics: dict) -> list[str]:
+    """What was measured on recorded trajectories; nothing where there were none."""
+    figures = metrics.get("open_loop")
+    if not figures:
+        return []
+    wanted = "the recorded commands" if figures.get("command_nmae_to") == "action" else "the expert's"
+    sentence = f"On recorded test trajectories the command NMAE, to {wanted}, is {figures['command_nmae']:.4f}"
+    skill = figures.get("skill_over_copying", {})
+    if skill:
+        values = ", ".join(f"{value:.3f}" for value in skill.values())
+        sentence += f"; the prediction skill over copying after {', '.join(skill)} slots is {values}"
+    return [f"{sentence}."]
 
 
 def watched(row: dict) -> str:

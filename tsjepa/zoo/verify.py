@@ -8,11 +8,11 @@ from typing import Literal
 
 from scipy.stats import hypergeom
 
-from tsjepa.evaluation.conditions import held_out_loop, plant_of, warn_of_another_renderer
+from tsjepa.evaluation.conditions import held_out_loop, load_on, plant_of, warn_of_another_renderer
 from tsjepa.evaluation.metrics import normalized_score
 from tsjepa.evaluation.rollouts import every, perfect_feedback, run
 from tsjepa.models import Controller
-from tsjepa.models.entries import load, names
+from tsjepa.models.entries import names
 from tsjepa.zoo.figures import key_figures, own_rows, table
 
 VERIFIED_PERIODS = (1, 5)
@@ -20,7 +20,7 @@ VERIFIED_SEEDS = 2
 NEEDED = ("seeds", "starts_per_seed", "slots", "frame_history", "optimal_policy", "codec", "blend")
 
 
-def zoo(action: Literal["list", "verify"] = "list", name: str | None = None, device: str = "cpu") -> None:
+def zoo(action: Literal["list", "verify"] = "list", name: str | None = None, *, device: str = "cpu") -> None:
     """Lists the pretrained models, or re-hashes them and closes their loops again on some of their card's starts.
 
     Args:
@@ -38,7 +38,7 @@ def zoo(action: Literal["list", "verify"] = "list", name: str | None = None, dev
         return
     failed = []
     for entry in chosen:
-        checks = rescore(load(entry).to(device), entry)
+        checks = rescore(load_on(entry, device), entry)
         print(*(f"{entry}: {check}" for check in checks), sep="\n", flush=True)
         failed += [entry] if not all(check.passed for check in checks) else []
     if failed:

@@ -20,7 +20,11 @@ READERS = (
 )
 DEEPEST, MOST_FOLDERS = 5, 5000  # of the search below a folder that is no recording itself
 
-__all__ = ["READERS", "Episode", "Frames", "Recording", "Skipped", "Streams", "find_recording", "open_recording"]
+__all__ = ["READERS", "Episode", "Frames", "Recording", "Skipped", "Streams", "UnknownFormat", "open_recording"]
+
+
+class UnknownFormat(ValueError):
+    """No reader knows what this is."""
 
 
 def open_recording(path: str | Path, streams: Streams | None = None, reader: str | None = None) -> Recording:
@@ -86,7 +90,7 @@ def find_recording(path: Path) -> tuple[Path, type[Recording]]:
     below = [(folder, loose) for folder in _folders(path) if loose.matches(folder)][:1]
     if below:
         return below[0]
-    raise ValueError(
+    raise UnknownFormat(
         f"{path} is no recording that is known: it is neither a LeRobot data set, a Donkeycar tub, a ROS bag, an HDF5 "
         "or npz file, nor a folder of videos or pictures with a table of commands."
     )

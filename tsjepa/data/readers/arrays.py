@@ -27,6 +27,7 @@ class ArrayRecording:
     def __init__(self, streams: Streams) -> None:
         self.streams, self.notes = streams, []
         self.cameras: list[str] = []
+        self.others: list[str] = []
 
     def episodes(self, name: str, arrays: Mapping[str, object]) -> Iterator[Episode | Skipped]:
         """Episodes of the arrays that one file or group holds.
@@ -72,6 +73,9 @@ class ArrayRecording:
             raise ValueError(f"it has no commands among {listed}: name the array of commands (--action).")
         state_keys = self.streams.state or [key for key in STATE if shapes.get(key)][:1]
         time_key = self.streams.time or next((key for key in TIME if len(shapes.get(key, ())) == 1), None)
+        taken = {self.streams.camera or cameras[0], *action_keys, *state_keys, time_key}
+        others = [f"{key} {tuple(array.shape[1:])} {array.dtype}" for key, array in arrays.items() if key not in taken]
+        self.others += [other for other in others if other not in self.others]
         return self.streams.camera or cameras[0], action_keys, state_keys, time_key
 
     @staticmethod
@@ -89,10 +93,8 @@ class ArrayRecording:
         """
         for lengths, starts in LENGTHS:
             if lengths in arrays:
-                length = np.asarray(arrays[lengths][:], dtype=np.int64).ravel()
-                start = (
-                    np.asarray(arrays[starts][:], np.int64).ravel() if starts in arrays else length.cumsum() - length
-                )
+                length = _whole(arrays[lengths][:], lengths)
+                start = _whole(arrays[starts][:], starts) if starts in arrays else length.cumsum() - length
                 spans = [(int(at), int(at + size)) for at, size in zip(start, length, strict=False) if size > 0]
                 if any(first < 0 or last > rows for first, last in spans) or len(start) != len(length):
                     raise ValueError(f"its {lengths} and {starts} reach beyond its {rows} rows.")
@@ -142,6 +144,14 @@ class ArrayRecording:
         if len(rows) > 1:
             raise ValueError(f"{', '.join(keys)} have {min(rows)} to {max(rows)} rows.")
         return names, np.concatenate(parts, axis=1) if parts else np.zeros((0, 0), np.float32)
+
+
+def _whole(values: np.ndarray, name: str) -> np.ndarray:
+    """Whole numbers [N] of an array of them."""
+    values = np.asarray(values).ravel()
+    if values.dtype.kind not in "iuf" or not np.isfinite(values).all() or (np.abs(values) > 2**53).any():
+        raise ValueError(f"its {name} are no whole numbers.")
+    return values.astype(np.int64)
 
 
 def _bytes(cell: object) -> bytes:

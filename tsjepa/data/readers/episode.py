@@ -12,7 +12,6 @@ import numpy as np
 
 from tsjepa.support.foreign import reason
 
-UNKNOWN = "unknown"
 MOST_PIXELS = 8192 * 8192  # of one picture: a header that claims more is damaged, and its picture would fill the memory
 
 
@@ -95,17 +94,22 @@ class Streams:
 
     Args:
         camera: image stream, by name, key or topic.
-        action: columns, keys or topics of the command.
-        state: columns, keys or topics of the state.
+        action: columns, keys or topics of the command, as a list or with commas between them.
+        state: the same of the state.
         time: column or key of the rows' times.
         rate_hz: pictures a second, for formats without times.
     """
 
     camera: str | None = None
-    action: list[str] | None = None
-    state: list[str] | None = None
+    action: list[str] | str | None = None
+    state: list[str] | str | None = None
     time: str | None = None
     rate_hz: float | None = None
+
+    def __post_init__(self) -> None:
+        for kind in ("action", "state"):
+            if isinstance(value := getattr(self, kind), str):
+                setattr(self, kind, [name.strip() for name in value.split(",")])
 
 
 class Recording(Protocol):
@@ -115,12 +119,14 @@ class Recording(Protocol):
         format: name and version, such as "LeRobot v2.1".
         rate_hz: pictures a second as the metadata claim, or None.
         cameras: image streams that are there.
+        others: further streams that are there and not taken, by name.
         notes: where files and metadata disagree and what is missing, one sentence each.
     """
 
     format: str
     rate_hz: float | None
     cameras: list[str]
+    others: list[str]
     notes: list[str]
 
     def __init__(self, path: Path, streams: Streams) -> None: ...
@@ -141,6 +147,36 @@ def attempt(name: str, read: Callable[[], Episode]) -> Episode | Skipped:
         raise
     except Exception as error:
         return Skipped(name, reason(error))
+
+
+def all_of(recording: Recording) -> Iterator[Episode | Skipped]:
+    """The recording's episodes; a reader that fails on the way ends them with an entry that says so."""
+    episodes = iter(recording.episodes())
+    while True:
+        try:
+            item = next(episodes)
+        except StopIteration:
+            return
+        except (MemoryError, ModuleNotFoundError):
+            raise
+        except Exception as error:
+            yield Skipped("the rest", reason(error))
+            return
+        yield item
+
+
+def read_pictures(frames: Frames, indices: Sequence[int] | np.ndarray) -> np.ndarray:
+    """``frames.read(indices)``, with whatever a library raises on a damaged file as one kind of error.
+
+    Raises:
+        ValueError: one of them cannot be decoded.
+    """
+    try:
+        return frames.read(indices)
+    except (MemoryError, ModuleNotFoundError, ValueError):
+        raise
+    except Exception as error:
+        raise ValueError(reason(error)) from error
 
 
 def ranges(numbers: Sequence[int], most: int = 6) -> str:

@@ -59,6 +59,8 @@ class LeRobot:
             self.notes.append(f"info.json claims {rate!r} frames a second.")
         self.cameras = self._cameras()
         self.camera = self._camera()
+        taken = {*self.wanted_columns(), self.camera}
+        self.others = [name for name in dict.fromkeys([*self.columns, *self.cameras]) if name not in taken]
         self._episodes = self.layout.list_episodes(self)
 
     def _columns(self) -> list[str]:
@@ -149,7 +151,7 @@ class LeRobot:
             feature = feature if isinstance(feature, dict) else {}
             shape = feature.get("shape")
             if shape and list(shape) != [part.shape[1]]:
-                self._note(f"info.json gives {key} the shape {shape}, the rows have {part.shape[1]} numbers.")
+                self.note(f"info.json gives {key} the shape {shape}, the rows have {part.shape[1]} numbers.")
             names += flat_names(feature.get("names"), part.shape[1], key)
             parts.append(part)
         return names, np.concatenate(parts, axis=1) if parts else np.zeros((0, 0), np.float32)
@@ -157,12 +159,13 @@ class LeRobot:
     def _compare(self, episode: Episode) -> None:
         frames, shape = episode.frames, (self.features.get(self.camera) or {}).get("shape")
         if shape and sorted(shape[:3]) != sorted([frames.height, frames.width, 3]):
-            self._note(f"info.json gives {self.camera} the shape {shape}, the pictures are "
+            self.note(f"info.json gives {self.camera} the shape {shape}, the pictures are "
                        f"{frames.height} x {frames.width}.")  # fmt: skip
         if abs(frames.count - len(episode.action)) > 1:
             episode.notes.append(f"{frames.count} pictures stand beside {len(episode.action)} rows.")
 
-    def _note(self, text: str) -> None:
+    def note(self, text: str) -> None:
+        """Says something about the whole recording, once."""
         if text not in self.notes:
             self.notes.append(text)
 

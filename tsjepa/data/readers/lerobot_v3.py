@@ -11,7 +11,8 @@ import numpy as np
 from tsjepa.data.readers.episode import Episode, Skipped
 from tsjepa.data.readers.pictures import natural
 from tsjepa.data.readers.video import video_index
-from tsjepa.support.tables import Table, read_table
+from tsjepa.support.foreign import optional
+from tsjepa.support.tables import Table, parquet_rows, read_table
 
 if TYPE_CHECKING:
     from tsjepa.data.readers.lerobot import LeRobot
@@ -36,9 +37,8 @@ def list_episodes(recording: LeRobot) -> list[tuple[str, Callable[[], Episode] |
                 return file, tables[file], rows
         raise ValueError("its rows are in no file.")
 
-    starts = _starts(recording, entries)
     return [
-        (f"episode {number}", lambda number=number: _read(recording, entries, starts, rows_of, number))
+        (f"episode {number}", lambda number=number: _read(recording, entries, rows_of, number))
         for number in sorted(entries)
     ]
 
@@ -53,8 +53,10 @@ def _entries(recording: LeRobot) -> dict[int, dict]:
         raise ValueError("the rows have no column episode_index, so nobody can tell where an episode ends.")
     entries = {}
     for file in sorted((recording.path / "meta" / "episodes").rglob("*.parquet"), key=natural):
-        table = read_table(file)
-        keys = [key for key in table if not key.startswith("stats/")]
+        if not parquet_rows(file):
+            continue
+        keys = [key for key in optional("pyarrow.parquet").read_schema(file).names if not key.startswith("stats/")]
+        table = read_table(file, keys)
         for row in range(len(table.get("episode_index", ()))):
             entry = {key: table[key][row] for key in keys}
             entries[int(entry["episode_index"])] = entry
@@ -83,46 +85,32 @@ def _video(recording: LeRobot, entry: dict) -> Path | None:
     return files[0] if len(files) == 1 else None
 
 
-def _starts(recording: LeRobot, entries: dict[int, dict]) -> dict[int, int]:
-    """First frame of every episode in its video.
+def _start(recording: LeRobot, entries: dict[int, dict], video: Path, number: int) -> int:
+    """First frame of an episode in its video.
 
     Frames are counted, where a video holds as many as its episodes have rows: the stamps of the metadata are sums of
     floating-point durations, which drift from the video's own. Else the stamps decide.
     """
-    if recording.camera in recording.columns:
-        return {}
-    by_video: dict[Path, list[int]] = {}
-    for number in sorted(entries):
-        video = _video(recording, entries[number])
-        if video is not None:
-            by_video.setdefault(video, []).append(number)
-    starts = {}
-    for video, numbers in by_video.items():
-        key = f"videos/{recording.camera}/from_timestamp"
-        numbers.sort(key=lambda number: float(entries[number].get(key, 0)))
-        lengths = [int(entries[number].get("length", 0)) for number in numbers]
-        counted = np.concatenate([[0], np.cumsum(lengths)])
-        try:
-            times = video_index(video).times
-        except ValueError:
-            continue
-        half = np.median(np.diff(times)) / 2 if len(times) > 1 else 0.0
-        stamped = [int(np.searchsorted(times, float(entries[number].get(key, 0)) - half)) for number in numbers]
-        whole = counted[-1] == len(times)
-        starts.update(zip(numbers, counted if whole else stamped, strict=False))
-        if not whole:
-            recording.notes.append(
-                f"{video.name} holds {len(times)} pictures and its episodes have {counted[-1]} rows; their starts are "
-                "taken from the stamps of the metadata."
-            )
-        elif stamped != counted[:-1].tolist():
-            recording.notes.append(
-                f"The stamps of the metadata drift from the pictures of {video.name}; they are counted."
-            )
-    return starts
+    key = f"videos/{recording.camera}/from_timestamp"
+    numbers = [other for other in entries if _video(recording, entries[other]) == video]
+    numbers.sort(key=lambda other: float(entries[other].get(key, 0)))
+    counted = np.cumsum([0, *(int(entries[other].get("length", 0)) for other in numbers)])
+    times = video_index(video).times
+    half = np.median(np.diff(times)) / 2 if len(times) > 1 else 0.0
+    stamped = int(np.searchsorted(times, float(entries[number].get(key, 0)) - half))
+    if counted[-1] != len(times):
+        recording.note(
+            f"{video.name} holds {len(times)} pictures and its episodes have {counted[-1]} rows; their starts are "
+            "taken from the stamps of the metadata."
+        )
+        return stamped
+    start = int(counted[numbers.index(number)])
+    if start != stamped:
+        recording.note(f"The stamps of the metadata drift from the pictures of {video.name}; they are counted.")
+    return start
 
 
-def _read(recording: LeRobot, entries: dict, starts: dict, rows_of: Callable, number: int) -> Episode:
+def _read(recording: LeRobot, entries: dict, rows_of: Callable, number: int) -> Episode:
     entry = entries[number]
     claimed = _file(recording, entry, "data_path", "data")
     file, table, rows = rows_of(number, claimed)
@@ -133,11 +121,8 @@ def _read(recording: LeRobot, entries: dict, starts: dict, rows_of: Callable, nu
         video = _video(recording, entry)
         if video is None:
             raise ValueError(f"it has rows and no video of {recording.camera}.")
-        if number not in starts:
-            video_index(video)
-        episode = recording.make(
-            f"episode {number}", part, lambda: recording.pictures(video, file, rows, int(starts[number]))
-        )
+        start = _start(recording, entries, video, number)
+        episode = recording.make(f"episode {number}", part, lambda: recording.pictures(video, file, rows, start))
     if episode.frames.count < len(rows):
         raise ValueError(f"{len(rows)} rows have {episode.frames.count} pictures: its video is cut or holds another.")
     if claimed is not None and claimed != file:

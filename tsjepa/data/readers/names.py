@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from tsjepa.data.readers.episode import UNKNOWN
+from tsjepa.support.spec import UNKNOWN
 from tsjepa.support.tables import Table, split_unit
 
 SUFFIXES = {

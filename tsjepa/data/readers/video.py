@@ -28,7 +28,6 @@ class VideoIndex:
     rate_hz: float | None
 
 
-@functools.lru_cache(maxsize=64)
 def video_index(path: Path) -> VideoIndex:
     """Reads every packet's stamp without decoding it, and decodes the first frame for its true size and rotation.
 
@@ -36,17 +35,20 @@ def video_index(path: Path) -> VideoIndex:
         ValueError: there is no video in the file, or nothing of it can be decoded.
     """
     refuse_pointer(path)
+    status = path.stat()
+    return _index(path, status.st_mtime_ns, status.st_size)
+
+
+@functools.lru_cache(maxsize=64)
+def _index(path: Path, changed_ns: int, size: int) -> VideoIndex:
     av = optional("av")
-    av.logging.set_level(av.logging.PANIC)
     try:
         with av.open(str(path)) as container:
             if not container.streams.video:
                 raise ValueError(f"{path.name} holds no video.")
             stream = container.streams.video[0]
             check_picture_size(stream.width, stream.height, path.name)
-            packets = [packet for packet in container.demux(stream) if packet.size and not packet.is_discard]
-            ticks = [packet.pts for packet in packets]
-            del packets
+            ticks = [packet.pts for packet in container.demux(stream) if packet.size and not packet.is_discard]
             base, rate = stream.time_base, stream.average_rate
             container.seek(0)
             first = next(container.decode(stream), None)
@@ -124,7 +126,6 @@ class Video(Frames):
         av = optional("av")
         if self._container is None:
             self._container = av.open(str(self.path))
-            self._container.streams.video[0].thread_type = "AUTO"
         stream = self._container.streams.video[0]
         self._container.seek(tick, stream=stream)
         self._frames = self._container.decode(stream)

@@ -12,6 +12,7 @@ from tsjepa.data.readers.episode import Episode, Frames, Skipped, Streams, attem
 from tsjepa.support import tables
 from tsjepa.support.foreign import refuse_pointers
 
+PICTURE = ("image", "picture", "frame_file", "image_file", "image_path")
 EPISODES = ("episode_index", "episode", "episode_id", "video", "file", "filename", "clip")
 
 
@@ -45,7 +46,7 @@ class Videos:
                 self.folders.setdefault(file.parent, []).append(file)
         self.tables = [file for file in files if file.suffix.lower() in tables.SUFFIXES]
         refuse_pointers(self.clips or self.tables)
-        self.cameras = []
+        self.cameras, self.others = [], []
         self.format = "folder of videos" if self.clips else "folder of pictures"
         if not self.tables:
             what = f"{len(self.clips)} videos" if self.clips else f"{sum(map(len, self.folders.values()))} pictures"
@@ -72,10 +73,13 @@ class Videos:
         if not action_names:
             others = [name for name, column in table.items() if column.dtype != object and name not in skip]
             raise ValueError(f"no column is called a command; say which of {', '.join(others)} are (--action).")
+        listed = self._listed(table)
         state_names, state = names.columns_like(table, self.streams.state, "state", {*skip, *action_names})
+        taken = {*skip, *action_names, *state_names, *PICTURE}
+        self.others += [name for name in table if name not in {*taken, *self.others}]
         return Episode(
             name=source.name,
-            frames=self._frames(source, table),
+            frames=self._frames(source, listed),
             action=action,
             action_names=action_names,
             action_units=names.units_of(action_names),
@@ -83,20 +87,30 @@ class Videos:
             state_names=state_names,
             state_units=names.units_of(state_names),
             times=times[1] if times else None,
-            paired=times is None,
+            paired=times is None or listed is not None,
         )
 
-    def _frames(self, source: Path, table: tables.Table) -> Frames:
-        if source in self.folders:
-            listed = next(
-                (column for name, column in table.items() if name in ("image", "picture", "frame_file")), None
-            )
-            files = self.folders[source]
-            if listed is not None and listed.dtype == object:
-                known = {file.name: file for file in files}
-                files = [known[name] for name in (Path(str(cell)).name for cell in listed) if name in known] or files
-            return pictures.picture_files(files)
-        return video.Video(source)
+    @staticmethod
+    def _listed(table: tables.Table) -> list[str] | None:
+        """File names of the pictures, where the rows have a column of them."""
+        column = next((column for name, column in table.items() if name in PICTURE), None)
+        return None if column is None or column.dtype != object else [Path(str(cell)).name for cell in column]
+
+    def _frames(self, source: Path, listed: list[str] | None) -> Frames:
+        if source not in self.folders:
+            return video.Video(source)
+        files = self.folders[source]
+        if listed is not None:
+            known = {file.name: file for file in files}
+            lost = [name for name in listed if name not in known]
+            if lost:
+                raise ValueError(f"{len(lost)} of the {len(listed)} pictures of its rows are not there ({lost[0]}).")
+            return pictures.picture_files([known[name] for name in listed])
+        stamps = [file.stem for file in files]
+        times = None
+        if all(stamp.isdigit() and len(stamp) >= 10 for stamp in stamps):  # since 1970
+            times = tables.as_seconds(np.array([int(stamp) for stamp in stamps]), 1.0)
+        return pictures.picture_files(files, times)
 
     def _rows_of(self, source: Path) -> tables.Table:
         """The rows that belong to a video or a folder of pictures.

@@ -6,10 +6,11 @@ from torch import Tensor
 from torchrl.data import Composite, TensorSpec
 
 from tsjepa.envs.transforms.base import SlotTransform, Values, flag_spec, number_spec, require_key
+from tsjepa.radio.belief import make_belief
 from tsjepa.radio.knowledge import Known
 from tsjepa.radio.link import db_to_linear, resource_units, units_per_slot
+from tsjepa.radio.loss import GilbertElliott, IidLoss
 from tsjepa.radio.schedulers import SchedulerFunction, get_scheduler
-from tsjepa.radio.simulation import check_csi
 
 
 class Scheduler(SlotTransform):
@@ -19,9 +20,11 @@ class Scheduler(SlotTransform):
     many resource units as their channel needs out of the ``units`` in a slot; then ``resource_units`` says how many
     were granted. Devices that reset in the middle of a slot share what the others have left of it.
 
-    Reads ``snr``, ``mean_snr`` (and ``loss_probability``) where a :class:`Channel` wrote them, the age of the slot
-    before where an :class:`Uplink` did, and ``slot`` where the plant counts the slots of its episodes; without them
-    links are perfect, ages are 1, and a scheduler that needs the slot says so.
+    Reads ``snr`` and ``mean_snr`` where a :class:`Channel` wrote them, age and outcome of the slot before where an
+    :class:`Uplink` did, and ``slot`` where the plant counts the slots of its episodes; without them links are perfect,
+    ages are 1, and a scheduler that needs the slot says so. ``urgency`` and ``weight`` are handed on where something
+    writes them. ``channel_belief`` is what the scheduler remembers of each link; the hidden state of a loss model is
+    not read, it is inferred from the outcomes.
 
     Args:
         scheduler: a name in ``SCHEDULERS``, or a function of that interface.
@@ -29,13 +32,14 @@ class Scheduler(SlotTransform):
         payload_bits: bits per update, instead of ``resource_blocks``.
         units: resource units in a slot; None derives them from ``sampling_interval``.
         sampling_interval: seconds per slot.
-        csi: "perfect", "delayed" (by ``csi_delay`` slots), or "statistical" (mean SNR, Rayleigh fading assumed).
-        csi_delay: slots by which delayed knowledge lags; before it arrives, the mean SNR stands in.
+        csi: "perfect", "delayed" (by ``csi_delay`` slots), "statistical" (mean SNR), or "acks" (nothing but outcomes).
+        csi_delay: slots by which delayed knowledge lags.
         snr_threshold_db: decode threshold. With perfect CSI a device asks for units at its SNR (or at the threshold,
             if that is higher); otherwise at the threshold, so that it arrives if and only if the threshold is met.
+        max_doppler_hz, loss, fading: the channel that the scheduler assumes, as of :class:`Channel`.
     """
 
-    previous_keys = ("age_of_information",)
+    previous_keys = ("age_of_information", "delivered")
 
     def __init__(
         self,
@@ -47,30 +51,29 @@ class Scheduler(SlotTransform):
         csi: str = "perfect",
         csi_delay: int = 1,
         snr_threshold_db: float = 5.0,
+        max_doppler_hz: float = 0.0,
+        loss: IidLoss | GilbertElliott | None = None,
+        fading: str = "rayleigh",
     ):
         if (resource_blocks is None) == (payload_bits is None):
             raise ValueError("give either resource_blocks (devices per slot) or payload_bits (bits per update)")
-        check_csi(csi, csi_delay)
-        carried = ["scheduled", "scheduler_memory"]
+        carried = ["scheduled", "scheduler_memory", "channel_belief"]
         if payload_bits is not None:
             carried.append("resource_units")
-        if csi == "delayed":
-            carried.append("snr_history")
         self.carried = tuple(carried)
         super().__init__(in_keys=[], out_keys=carried)
         self.decide = get_scheduler(scheduler)
         self.payload_bits = payload_bits
         self.budget = resource_blocks if payload_bits is None else (units or units_per_slot(sampling_interval))
         self.csi = csi
-        self.csi_delay = csi_delay
         self.snr_threshold = float(db_to_linear(snr_threshold_db))
+        self.belief = make_belief(csi, self.snr_threshold, csi_delay, loss, max_doppler_hz, sampling_interval, fading)
 
     def _specs(self, incoming: Composite) -> dict[str, TensorSpec]:
         specs = {"scheduled": flag_spec(incoming), "scheduler_memory": number_spec(incoming, dtype=torch.float64)}
         if self.payload_bits is not None:
             specs["resource_units"] = number_spec(incoming, dtype=torch.int64)
-        if self.csi == "delayed":
-            specs["snr_history"] = number_spec(incoming, self.csi_delay)
+        specs["channel_belief"] = number_spec(incoming, self.belief.width, dtype=torch.float64)
         return specs
 
     def _begin(self, before: Values, current: TensorDictBase) -> Values:
@@ -79,13 +82,12 @@ class Scheduler(SlotTransform):
         memory = before.get("scheduler_memory", torch.zeros(shape, dtype=torch.float64, device=device))
         start = {"scheduler_memory": memory, "scheduled": torch.zeros(shape, dtype=torch.bool, device=device)}
         start["resource_units"] = torch.zeros(shape, dtype=torch.int64, device=device)
-        if self.csi == "delayed":
-            mean_snr = require_key(current, "mean_snr", "Scheduler with delayed CSI", "a Channel")
-            start["snr_history"] = mean_snr.unsqueeze(-1).repeat_interleave(self.csi_delay, -1)
+        belief = before.get("channel_belief", None)
+        start["channel_belief"] = self.belief.start(shape, device) if belief is None else self.belief.restart(belief)
         return start
 
     def _slot(self, previous: Values, current: TensorDictBase, fresh: Tensor | None) -> Values:
-        known = self._knowledge(previous, current)
+        belief, known = self._knowledge(previous, current)
         if self.payload_bits is not None:
             known = known._replace(demand=self._demand(known, current))
         if fresh is not None and not bool(fresh.all()):
@@ -93,19 +95,17 @@ class Scheduler(SlotTransform):
             left = known.budget - taken.masked_fill(fresh, 0).sum(-1)
             known = known._replace(candidate=fresh, budget=left)
         schedule, memory = self.decide(known)
-        values = {"scheduled": schedule, "scheduler_memory": memory}
+        values = {"scheduled": schedule, "scheduler_memory": memory, "channel_belief": belief}
         if known.demand is not None:
             values["resource_units"] = known.demand.masked_fill(~schedule, 0)
-        if self.csi == "delayed":
-            history = previous["snr_history"]
-            values["snr_history"] = torch.cat((history[..., 1:], current["snr"].unsqueeze(-1)), -1)
         return values
 
-    def _knowledge(self, previous: Values, current: TensorDictBase) -> Known:
+    def _knowledge(self, previous: Values, current: TensorDictBase) -> tuple[Tensor, Known]:
+        """What is remembered of the links, and what is known of this slot."""
         shape, device = current.batch_size, current.device
         everyone = torch.ones(shape, dtype=torch.bool, device=device)
         perfect = torch.ones(shape, dtype=torch.float64, device=device)
-        age = previous["age_of_information"]
+        age, belief, delivered = (previous[k] for k in ("age_of_information", "channel_belief", "delivered"))
         known = Known(
             age=torch.ones(shape, dtype=torch.int64, device=device) if age is None else age,
             snr=perfect,
@@ -114,20 +114,15 @@ class Scheduler(SlotTransform):
             candidate=everyone,
             budget=self.budget,
             memory=previous["scheduler_memory"],
-            slot=current.get("slot", None),
+            **{key: current.get(key, None) for key in ("urgency", "weight", "slot")},
         )
-        snr = {"perfect": current.get("snr", None), "statistical": current.get("mean_snr", None)}.get(self.csi)
-        if self.csi == "delayed":
-            snr = previous["snr_history"][..., 0]
-        if snr is None:
-            return known
-        snr = snr.to(torch.float64)
-        above = snr >= self.snr_threshold
-        success = torch.exp(-self.snr_threshold / snr) if self.csi == "statistical" else above.to(torch.float64)
-        loss_probability = current.get("loss_probability", None)
-        if self.csi == "perfect" and loss_probability is not None:
-            success = success * (1.0 - loss_probability)
-        return known._replace(snr=snr, success=success, above_threshold=above)
+        if current.get("snr", None) is None:
+            return belief, known
+        # without an Uplink, and in the first slot of an episode, there is no outcome to learn from
+        arrived = ~everyone if delivered is None else delivered
+        sent = ~everyone if delivered is None else previous["scheduled"]
+        belief, link = self.belief.step(belief, current["mean_snr"], current["snr"], sent, arrived)
+        return belief, known._replace(**link._asdict())
 
     def _demand(self, known: Known, current: TensorDictBase) -> Tensor:
         require_key(current, "snr", "Scheduler with payload_bits", "a Channel")
