@@ -1,5 +1,7 @@
-"""A data set on disk without a renderer: a bright square on a spring, pushed sideways by the command, swinging by itself
-up and down."""
+"""A data set on disk without a renderer: a bright square on a spring that the command pushes sideways.
+
+Up and down it swings by itself.
+"""
 
 from pathlib import Path
 
