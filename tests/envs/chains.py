@@ -18,7 +18,7 @@ from tsjepa.radio.codecs import AffineCodec, FloatCodec
 
 
 def camera():
-    return Camera(render, frame_stack=2, frame_spacing=2, height=4, width=8)
+    return Camera(render, (4, 8), frame_stack=2, frame_spacing=2)
 
 
 def embed(pixels):
@@ -34,7 +34,7 @@ def whole_chain(scheduler=None, seed=0):
         Channel(snr_target_db=8.0, seed=seed),
         scheduler or Scheduler("channel_aware", resource_blocks=2),
         camera(),
-        Encode(embed),
+        Encode(embed, 12),
         Codec(integer_codec(12)),
         Uplink(),
         Estimator(lambda z, u: 0.9 * z + 0.01 * u),

@@ -1,4 +1,4 @@
-"""A batch of linear plants that stands in for the cart-poles."""
+"""A batch of linear plants that stands in for a fleet."""
 
 import numpy as np
 import torch
@@ -20,8 +20,7 @@ class LinearFleet(EnvBase):
         self.frame_history = frame_history
         self.observation_spec = Composite(
             state=Unbounded((*shape, 2)),
-            qpos=Unbounded((*shape, frame_history, 2)),
-            colors=Unbounded((*shape, 2, 3)),
+            scene=Unbounded((*shape, frame_history, 3)),
             slot=Unbounded(shape, dtype=torch.int64),
             shape=shape,
         )
@@ -35,8 +34,7 @@ class LinearFleet(EnvBase):
         return TensorDict(
             {
                 "state": state,
-                "qpos": state.unsqueeze(-2).repeat_interleave(self.frame_history, -2),
-                "colors": torch.full((*shape, 2, 3), 0.5),
+                "scene": seen(state).unsqueeze(-2).repeat_interleave(self.frame_history, -2),
                 "slot": torch.zeros(shape, dtype=torch.int64),
             },
             shape,
@@ -49,8 +47,7 @@ class LinearFleet(EnvBase):
         return TensorDict(
             {
                 "state": state,
-                "qpos": torch.cat((tensordict["qpos"][..., 1:, :], state.unsqueeze(-2)), -2),
-                "colors": tensordict["colors"].clone(),
+                "scene": torch.cat((tensordict["scene"][..., 1:, :], seen(state).unsqueeze(-2)), -2),
                 "slot": slot,
                 "reward": -state.square().sum(-1, keepdim=True),
                 "done": done,
@@ -63,9 +60,14 @@ class LinearFleet(EnvBase):
         pass
 
 
-def render(qpos, colors):
+def seen(state):
+    """What a camera sees of states [..., 2]: them and a colour, [..., 3]."""
+    return torch.cat((state, torch.full_like(state[..., :1], 0.5)), -1)
+
+
+def render(scene):
     """Frames of 4 x 8 whose first pixel tells the position, in hundredths, and whose second the colour."""
-    frames = np.zeros((len(qpos), 4, 8, 3), np.uint8)
-    frames[:, 0, 0, 0] = np.clip(np.round(100 * qpos[:, 0]), 0, 255)
-    frames[:, 0, 1] = np.round(100 * colors[:, 0])
+    frames = np.zeros((len(scene), 4, 8, 3), np.uint8)
+    frames[:, 0, 0, 0] = np.clip(np.round(100 * scene[:, 0]), 0, 255)
+    frames[:, 0, 1] = np.round(100 * scene[:, 2:])
     return frames

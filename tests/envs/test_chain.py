@@ -212,11 +212,11 @@ def test_hold_command_repeats_what_was_applied():
 
 
 def test_the_camera_sees_scheduled_devices_at_the_right_slots():
-    chain = [Scheduler("round_robin", 2), Camera(render, 2, 2, height=4, width=8), Encode(embed)]
+    chain = [Scheduler("round_robin", 2), Camera(render, (4, 8), 2, 2), Encode(embed, 12)]
     data = rollout(chain, slots=12, policy=lambda td: td.set("action", torch.zeros(6, 1)))
     pixels, sent = data["pixels"], data["scheduled"]
     assert (pixels[~sent] == 0).all() and (data["embedding"][~sent] == 0).all()
-    position = data["qpos"][..., [0, 2], 0].mul(100).round().clamp(0, 255).to(torch.uint8)
+    position = data["scene"][..., [0, 2], 0].mul(100).round().clamp(0, 255).to(torch.uint8)
     assert torch.equal(pixels[sent][:, :, 0, 0, 0], position[sent])
     assert (pixels[sent][:, :, 0, 1] == 50).all()
     torch.testing.assert_close(data["embedding"][sent], embed(pixels[sent]))

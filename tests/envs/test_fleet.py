@@ -9,12 +9,17 @@ import pytest
 import torch
 from torchrl.envs import StepCounter, TransformedEnv, check_env_specs
 from torchrl.envs.utils import step_mdp
-from tsjepa.plants.dynamics import Dynamics
 
-from tsjepa.envs import FleetEnv, StartDistribution
+from tsjepa.envs import FleetEnv
+from tsjepa.plants import CartPole
 
 NOISE = (0.03, 0.05)
-STILL = StartDistribution(0.0, 0.0, 0.0, 0.0)
+STILL = (0.0, 0.0, 0.0, 0.0)
+
+
+def make(num_devices: int, plant: dict | None = None, **arguments) -> FleetEnv:
+    """A fleet of cart-poles."""
+    return FleetEnv(CartPole(**(plant or {})), num_devices, **arguments)
 
 
 def push(env: FleetEnv, seed: int = 0):
@@ -44,18 +49,19 @@ def run(env: FleetEnv, steps: int, tensordict, forces, resets=None):
 @pytest.mark.parametrize("batch_size", [None, [2, 3]])
 @pytest.mark.parametrize("frame_history", [1, 3])
 def test_specs(batch_size, frame_history):
-    env = FleetEnv(3, 0.02, NOISE, frame_history=frame_history, random_colors=True, batch_size=batch_size)
+    coloured = {"process_noise_std": NOISE, "random_colors": True}
+    env = make(3, coloured, frame_history=frame_history, batch_size=batch_size)
     check_env_specs(env)
     rollout = env.rollout(4, break_when_any_done=False)
     assert rollout.batch_size == (*(batch_size or [3]), 4)
-    assert rollout["qpos"].shape[-2:] == (frame_history, 2)
-    for key in ("state", "qpos", "colors", "action"):
+    assert rollout["scene"].shape[-2:] == (frame_history, 2 + 2 * 3)
+    for key in ("state", "scene", "reference", "action"):
         assert rollout[key].dtype == torch.float32
     assert rollout["next", "reward"].shape == (*rollout.batch_size, 1)
 
 
 def test_one_millisecond_slots():
-    env = FleetEnv(2, sampling_interval=0.001, start=STILL)
+    env = make(2, {"sampling_interval": 0.001, "start_half_widths": STILL})
     check_env_specs(env)
     stepped = env.step(env.reset().set("action", torch.tensor([[20.0], [-20.0]])))
     speed = stepped["next", "state"][:, 2]
@@ -67,7 +73,7 @@ def test_resetting_one_device_leaves_the_others_bit_identical():
     forces = 4 * torch.rand(12, 3, 1, generator=torch.Generator().manual_seed(1)) - 2
     states = []
     for resets in (None, {4: 1, 9: 1}):
-        env = FleetEnv(3, process_noise_std=NOISE, frame_history=3, seed=5)
+        env = make(3, {"process_noise_std": NOISE}, frame_history=3, seed=5)
         states.append(run(env, 12, env.reset(), forces, resets))
     assert torch.equal(states[0][:, [0, 2]], states[1][:, [0, 2]])
     assert torch.equal(states[0][:4, 1], states[1][:4, 1])
@@ -75,42 +81,42 @@ def test_resetting_one_device_leaves_the_others_bit_identical():
 
 
 def test_partial_reset_keeps_every_entry_of_the_others():
-    env = FleetEnv(3, frame_history=2, random_colors=True)
+    env = make(3, {"random_colors": True}, frame_history=2)
     before = step_mdp(env.step(push(env)(env.reset())))
     chosen = torch.tensor([[False], [True], [False]])
     after = env.reset(before.clone().set("_reset", chosen))
-    for key in ("state", "qpos", "colors", "physics_state", "episode", "slot", "done"):
+    for key in ("state", "scene", "reference", "physics_state", "episode", "slot", "done"):
         assert torch.equal(after[key][[0, 2]], before[key][[0, 2]]), key
     assert after["slot"].tolist() == [1, 0, 1] and after["episode"].tolist() == [0, 1, 0]
-    assert (after["colors"][1] != before["colors"][1]).all()
+    assert (after["scene"][1, :, 2:] != before["scene"][1, :, 2:]).all()
 
 
 def test_a_device_does_not_depend_on_the_size_of_the_fleet():
     forces = torch.zeros(6, 5, 1)
-    small, large = (FleetEnv(count, process_noise_std=NOISE, seed=2) for count in (2, 5))
+    small, large = (make(count, {"process_noise_std": NOISE}, seed=2) for count in (2, 5))
     assert torch.equal(run(large, 6, large.reset(), forces)[:, :2], run(small, 6, small.reset(), forces[:, :2]))
 
 
 def test_rows_of_a_larger_batch_differ():
-    start = FleetEnv(3, batch_size=[2, 3]).reset()["state"]
+    start = make(3, batch_size=[2, 3]).reset()["state"]
     assert len(torch.unique(start[..., 0])) == 6
 
 
 def test_starts_depend_on_seed_and_episode_but_not_on_the_policy():
     second_starts = []
     for policy in (constant(0.0, 4), constant(15.0, 4)):
-        env = FleetEnv(4, process_noise_std=NOISE, seed=3)
+        env = make(4, {"process_noise_std": NOISE}, seed=3)
         first = env.reset()["state"]
         env.rollout(5, policy)
         second_starts.append(env.reset()["state"])
     assert (first != second_starts[0]).all()
     # The roll-out began an episode of its own in both.
     assert torch.equal(*second_starts)
-    assert (FleetEnv(4, seed=4).reset()["state"] != first).all()
+    assert (make(4, seed=4).reset()["state"] != first).all()
 
 
 def test_set_seed_starts_over():
-    env = FleetEnv(3, process_noise_std=NOISE, seed=0)
+    env = make(3, {"process_noise_std": NOISE}, seed=0)
     rollouts = []
     for _ in range(2):
         env.set_seed(11)
@@ -119,7 +125,7 @@ def test_set_seed_starts_over():
 
 
 def test_a_copy_of_the_tensordict_is_a_branch():
-    env = FleetEnv(2, process_noise_std=NOISE)
+    env = make(2, {"process_noise_std": NOISE})
     root = env.reset()
     forces = torch.ones(5, 2, 1)
     first = run(env, 5, root.clone(), forces)
@@ -129,45 +135,45 @@ def test_a_copy_of_the_tensordict_is_a_branch():
 
 
 def test_warm_up_makes_a_real_history():
-    env = FleetEnv(3, frame_history=4, seed=1)
+    env = make(3, frame_history=4, seed=1)
     reset = env.reset()
-    path = [env.start.draw(1, np.arange(3), np.zeros(3, np.int64))]
+    path = [env.plant.start(1, np.arange(3), np.zeros(3, np.int64))]
     for _ in range(3):
-        path.append(Dynamics().advance(path[-1], np.zeros(3)))
+        path.append(CartPole().stepper.advance(path[-1], np.zeros((3, 1))))
     np.testing.assert_array_equal(reset["physics_state"], path[-1])
     expected = np.stack(path, axis=1)[..., :2].astype(np.float32)
-    np.testing.assert_array_equal(reset["qpos"], expected)
+    np.testing.assert_array_equal(reset["scene"][..., :2], expected)
     stepped = env.step(reset.set("action", torch.zeros(3, 1)))
-    assert torch.equal(stepped["next", "qpos"][:, :-1], reset["qpos"][:, 1:])
-    assert torch.equal(stepped["next", "qpos"][:, -1], stepped["next", "state"][:, :2])
+    assert torch.equal(stepped["next", "scene"][:, :-1], reset["scene"][:, 1:])
+    assert torch.equal(stepped["next", "scene"][:, -1, :2], stepped["next", "state"][:, :2])
 
 
 def test_process_noise_has_its_standard_deviations():
-    env = FleetEnv(3000, process_noise_std=NOISE, start=STILL, sampling_interval=0.002)
+    env = make(3000, {"process_noise_std": NOISE, "start_half_widths": STILL, "sampling_interval": 0.002})
     velocity = env.step(env.reset().set("action", torch.zeros(3000, 1)))["next", "state"][:, 2:]
     torch.testing.assert_close(velocity.std(0), torch.tensor(NOISE), rtol=0.05, atol=0)
     assert abs(np.corrcoef(velocity.T)[0, 1]) < 0.08
 
 
 def test_reward_termination_and_truncation():
-    env = FleetEnv(4, episode_length=3, start=STILL)
+    env = make(4, {"start_half_widths": STILL}, episode_length=3)
     tensordict = env.reset()
     # In the box; outside it; fallen; off the rail.
     tensordict["physics_state"][:, 0] = torch.tensor([0.0, 0.1, 0.0, 1.85])
     tensordict["physics_state"][:, 1] = torch.tensor([0.0, 0.0, 0.9, 0.0])
-    kept_on = FleetEnv(4, episode_length=3, terminate_on_failure=False)
+    kept_on = make(4, episode_length=3, terminate_on_failure=False)
     assert not kept_on.step(tensordict.clone().set("action", torch.zeros(4, 1)))["next", "done"].any()
     stepped = env.step(tensordict.set("action", torch.zeros(4, 1)))["next"]
     assert stepped["reward"].flatten().tolist() == [1.0, 0.0, 0.0, 0.0]
     assert stepped["terminated"].flatten().tolist() == [False, False, True, True]
     assert not stepped["truncated"].any()
-    rollout = FleetEnv(2, episode_length=3, start=STILL).rollout(10, push(FleetEnv(2)))
+    rollout = make(2, {"start_half_widths": STILL}, episode_length=3).rollout(10, push(make(2)))
     assert rollout["next", "truncated"].squeeze(-1).tolist() == [[False, False, True]] * 2
     assert torch.equal(rollout["next", "done"], rollout["next", "truncated"])
 
 
 def test_done_devices_reset_on_their_own():
-    env = TransformedEnv(FleetEnv(2, episode_length=50, start=STILL, frame_history=2), StepCounter())
+    env = TransformedEnv(make(2, {"start_half_widths": STILL}, episode_length=50, frame_history=2), StepCounter())
     # Device 0 is pushed over, device 1 is left alone.
     forces = torch.tensor([[20.0], [0.0]])
     rollout = env.rollout(40, lambda td: td.set("action", forces), break_when_any_done=False)
@@ -182,7 +188,7 @@ def test_done_devices_reset_on_their_own():
 
 @pytest.mark.parametrize("force", [float("nan"), 20.5, -float("inf")])
 def test_a_bad_command_is_named(force):
-    env = FleetEnv(2)
+    env = make(2)
     tensordict = env.reset().set("action", torch.tensor([[0.0], [force]]))
     with pytest.raises(ValueError, match=str(force)):
         env.step(tensordict)
@@ -195,10 +201,10 @@ def test_a_bad_command_is_named(force):
         ({"num_devices": 2, "frame_history": 0}, "frame_history"),
         ({"num_devices": 2, "episode_length": 0}, "episode_length"),
         ({"num_devices": 2, "batch_size": [2, 3]}, "last batch dimension"),
-        ({"num_devices": 2, "sampling_interval": -1.0}, "sampling_interval"),
-        ({"num_devices": 2, "process_noise_std": (-1.0, 0.0)}, "process_noise_std"),
+        ({"num_devices": 2, "plant": {"sampling_interval": -1.0}}, "slot must be a positive"),
+        ({"num_devices": 2, "plant": {"process_noise_std": (-1.0, 0.0)}}, "process_noise_std"),
     ],
 )
 def test_bad_arguments_are_refused(arguments, named):
     with pytest.raises(ValueError, match=named):
-        FleetEnv(**arguments)
+        make(**arguments)

@@ -36,7 +36,7 @@ CHAINS = {
     "units": lambda: state_chain(Scheduler("proportional_fair", payload_bits=64, units=3)),
     "uplink alone": lambda: [Uplink(in_key=None)],
     "camera alone": lambda: [camera()],
-    "single device": lambda: [camera(), Encode(embed), Codec(FloatCodec(16)), Uplink()],
+    "single device": lambda: [camera(), Encode(embed, 12), Codec(FloatCodec(16)), Uplink()],
     "drop": lambda: state_chain(when_lost="drop", aoi_reset="scheduled"),
     "oracle": lambda: state_chain(Scheduler("oracle", 2), lossless=True),
     "hold": lambda: [Channel(), Scheduler("random", 1), Uplink(in_key=None), HoldCommand()],
@@ -46,7 +46,7 @@ CHAINS = {
         camera(),
         Codec(ImageCodec("png", height=4, width=8), in_key="pixels"),
         Uplink(),
-        Encode(embed, in_key="received", mask_key="delivered"),
+        Encode(embed, 12, in_key="received", mask_key="delivered"),
         Estimator(lambda z, u: z, in_key="embedding", blend=0.5),
     ],
     "whole": whole_chain,
@@ -99,7 +99,7 @@ def test_a_missing_neighbour_is_named():
     with pytest.raises(KeyError, match="put an Uplink"):
         TransformedEnv(LinearFleet(), HoldCommand()).reset()
     with pytest.raises(ValueError, match="frame_history of 5"):
-        TransformedEnv(LinearFleet(), Camera(render, frame_stack=3, frame_spacing=2)).reset()
+        TransformedEnv(LinearFleet(), Camera(render, (4, 8), frame_stack=3, frame_spacing=2)).reset()
 
 
 def test_bad_arguments_are_rejected():
@@ -120,4 +120,4 @@ def test_bad_arguments_are_rejected():
     with pytest.raises(ValueError, match="blend"):
         Estimator(lambda z, u: z, blend=0.0)
     with pytest.raises(ValueError, match="frame_stack"):
-        Camera(render, frame_stack=0)
+        Camera(render, (4, 8), frame_stack=0)

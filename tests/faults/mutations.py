@@ -231,3 +231,55 @@ def _npz_content(file: Path, random: np.random.Generator) -> str:
         with zipfile.ZipFile(file, "a") as archive:
             archive.writestr(f"{name}2.npy", b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header)
     return f"{name}: change {choice}"
+
+
+def base_logs(folder: Path) -> dict[str, Path]:
+    """One small valid log of a radio link a kind."""
+    folder.mkdir(parents=True, exist_ok=True)
+    sent = 1_700_000_000_000_000_000
+    packets = [
+        {"timestamp": sent + 10**8 * k + 5 * 10**6, "payload": {"seqnum": k, "src_timestamp_ns": str(sent + 10**8 * k)}}
+        for k in range(30)
+        if k % 7
+    ]
+    texts = {
+        "table.txt": "pub_time(ms) delay(ms) sinr(db)\n"
+        + "".join(f"{1_700_000_000_000 + 55 * k} {20 + k % 9} {k % 20} \n" for k in range(30)),
+        "packets.jsonl": "".join(json.dumps(row) + "\n" for row in packets),
+        "ping.txt": "".join(
+            f"64 bytes from host: icmp_seq={k} ttl=60 time={10 + k % 5}.5 ms\n" for k in range(30) if k % 6
+        ),
+        "iperf.txt": "".join(
+            f"[  5]   {k}.00-{k + 1}.00   sec   128 KBytes  1.05 Mbits/sec  0.045 ms  {k}/100 ({k}%)\n"
+            for k in range(9)
+        ),
+        "iw.jsonl": "".join(
+            json.dumps({"timestamp": sent + 5 * 10**8 * k, "payload": {"phy": f"SSID: a\n\tsignal: -{60 + k} dBm"}})
+            + "\n"
+            for k in range(20)
+        ),
+        "link.trace": "".join(f"{3 * k + k % 2}\n" for k in range(90)),
+    }
+    for name, text in texts.items():
+        (folder / name).write_text(text)
+    return {name: folder / name for name in texts}
+
+
+def mutate_log(file: Path, random: np.random.Generator) -> str:
+    """Changes a log: its bytes, its lines, or one of its words."""
+    choice = random.integers(6)
+    if choice < 3:
+        return (_cut, _flip, _pointer)[choice](file, random)
+    lines = file.read_text().splitlines()
+    place = int(random.integers(len(lines)))
+    if choice == 3:
+        file.write_text("\n".join(lines[other] for other in random.permutation(len(lines))))
+        return "lines shuffled"
+    if choice == 4:
+        del lines[place]
+    else:
+        words = lines[place].split(" ")
+        words[random.integers(len(words))] = str(_value(random))
+        lines[place] = " ".join(words)
+    file.write_text("\n".join(lines))
+    return f"line {place + 1} changed"

@@ -9,7 +9,7 @@ from conftest import DATA, DATA_RECIPE, RECIPE, RUN
 from deadly import die, die_once
 
 from tsjepa.data.storage import read_metadata
-from tsjepa.envs import Renderer
+from tsjepa.plants import CartPole
 from tsjepa.support.workers import ATTEMPTS, run_items
 from tsjepa.training.jepa import TSJEPA
 
@@ -42,7 +42,7 @@ def test_weights_that_explode_in_the_last_step_of_an_epoch_are_not_kept(home, co
 
 
 def test_a_lost_gl_context_is_made_anew():
-    renderer, qpos = Renderer(), np.array([[0.1, 0.2]])
+    renderer, qpos = CartPole().renderer, np.array([[0.1, 0.2]])
     before = renderer.render(qpos)
     renderer._context.free()
     renderer._gl.free()

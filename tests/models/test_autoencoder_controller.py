@@ -1,43 +1,31 @@
+"""The generative baseline's controller: reconstruct, estimate the state, apply the expert's law."""
+
 import pytest
+import tiny_controller
 import torch
-from tsjepa.plants.expert import Expert
 
 import tsjepa
-from tsjepa.models import AutoencoderArchitecture, AutoencoderController, entries
-from tsjepa.models.autoencoder import ClippedLinearLaw
-
-SMALL = AutoencoderArchitecture(
-    widths=(4, 8, 8), embedding_dim=8, decoder_channels=(8, 8, 4, 4), estimator_channels=(4, 8, 8)
-)
+from tsjepa.models import AutoencoderController, entries
+from tsjepa.plants import CartPole
 
 
 @pytest.fixture
 def model():
-    torch.manual_seed(0)
-    model = AutoencoderController(SMALL).eval()
-    expert = Expert(SMALL.sampling_interval)
-    model.law.gain.copy_(expert.gain)
-    model.law.position_clip.fill_(expert.position_clip)
-    model.decoder.fitted.fill_(True)
+    model = tiny_controller.tiny_autoencoder()
+    model.law = CartPole().experts()["expert"]
     return model
 
 
 @pytest.fixture
 def embedding():
     generator = torch.Generator().manual_seed(0)
-    return torch.nn.functional.normalize(torch.randn(2, 3, 8, generator=generator), dim=-1)
+    return torch.nn.functional.normalize(torch.randn(2, 3, tiny_controller.DIM, generator=generator), dim=-1)
 
 
-def test_the_law_is_the_experts(model):
-    generator = torch.Generator().manual_seed(0)
-    state = torch.randn(500, 4, generator=generator) * torch.tensor([1.0, 0.2, 1.0, 1.0])
-    force = model.law(state)
-    torch.testing.assert_close(force, Expert(SMALL.sampling_interval)(state))
-    assert (force.abs() == 20).any() and (state[:, 0].abs() > model.law.position_clip).any()
-
-
-def test_a_law_without_numbers_gives_none():
-    assert ClippedLinearLaw()(torch.zeros(4)).isnan().all()
+def test_the_law_is_given_the_set_point(model, embedding):
+    with torch.no_grad():
+        state, wanted = model.probe(embedding), torch.full((2, 3, 1), 0.3)
+        assert torch.equal(model.act(embedding, wanted), model.law(state, wanted))
 
 
 def test_the_command_is_the_law_applied_to_the_state_read_from_the_reconstruction(model, embedding):
@@ -51,7 +39,14 @@ def test_the_command_is_the_law_applied_to_the_state_read_from_the_reconstructio
     assert stack.shape == (2, 3, 2, 64, 128, 3)
     assert torch.equal(frame, stack[:, :, 1])
     frames = torch.zeros(5, 2, 64, 128, 3, dtype=torch.uint8)
-    assert model.encode(frames).shape == (5, 8)
+    assert model.encode(frames).shape == (5, tiny_controller.DIM)
+
+
+def test_a_wanted_position_moves_the_law(model, embedding):
+    with torch.no_grad():
+        state = model.probe(embedding)
+        wanted = torch.full((2, 3, 1), 0.1)
+        assert torch.equal(model.act(embedding, wanted), model.law(state, wanted))
 
 
 def test_it_says_that_it_predicts_nothing(model, embedding):
@@ -63,6 +58,5 @@ def test_it_says_that_it_predicts_nothing(model, embedding):
 def test_it_is_an_entry_of_the_zoo_like_any_other(model, embedding, tmp_path):
     loaded = tsjepa.load(entries.save(model, tmp_path / "entry"))
     assert isinstance(loaded, AutoencoderController)
-    assert loaded.architecture == SMALL
     assert torch.equal(loaded.act(embedding), model.act(embedding))
     assert torch.equal(loaded.decode(embedding), model.decode(embedding))

@@ -177,6 +177,7 @@ FLEET = {"model": None, "codec": "fp32", "resource_blocks": 3, "snr_target_db": 
 FLEET |= {"smallest": 6, "largest": 16, "also_at": 7, "seeds": 2, "slots": 100, "process_noise_std": 0.008}
 
 
+@pytest.mark.slow
 def test_a_fleet_of_a_point_is_searched_and_measured():
     rows = {name: devices.device_rows(FLEET | {"scheduler": name}) for name in ("channel_aware", "round_robin")}
     for mine in rows.values():

@@ -60,6 +60,7 @@ def test_the_file_follows_the_sweep(folder):
     assert calls(folder) == [0, 1, 2, 3, 2]
 
 
+@pytest.mark.slow
 def test_processes_give_the_same_numbers_and_a_killed_worker_costs_its_point_alone(folder, tmp_path_factory):
     serial = tmp_path_factory.mktemp("serial")
     (folder / "kill").touch()

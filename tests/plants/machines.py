@@ -35,8 +35,12 @@ TOP = f"""<mujoco model="balancing cube">
     <body pos="0 0 .1">
       <joint name="foot" type="ball"/>
       {CAPSULE} fromto="0 0 0 0 0 .2" size=".02" mass=".3"/>
-      <body pos="0 0 .2"><joint name="roll" axis="1 0 0"/>{CAPSULE} fromto="-.01 0 0 .01 0 0" size=".06" mass=".2"/></body>
-      <body pos="0 0 .2"><joint name="tilt" axis="0 1 0"/>{CAPSULE} fromto="0 -.01 0 0 .01 0" size=".06" mass=".2"/></body>
+      <body pos="0 0 .2">
+        <joint name="roll" axis="1 0 0"/>{CAPSULE} fromto="-.01 0 0 .01 0 0" size=".06" mass=".2"/>
+      </body>
+      <body pos="0 0 .2">
+        <joint name="tilt" axis="0 1 0"/>{CAPSULE} fromto="0 -.01 0 0 .01 0" size=".06" mass=".2"/>
+      </body>
     </body>
   </worldbody>
   <actuator><motor name="roll" joint="roll"/><motor name="tilt" joint="tilt"/></actuator>

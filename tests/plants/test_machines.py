@@ -108,7 +108,7 @@ def test_the_reachers_finger_is_where_mujoco_has_it():
     [(0, 150, 1, 0.83, 0.91), (50, 200, 1, 0.58, 0.70), (0, 150, 5, 0.30, 0.48), (0, 150, 20, 0.0, 0.08)],
 )
 def test_what_the_reachers_expert_scores(goal_slots, slots, hold, low, high):
-    score, failed, final = run(Reacher(goal_slots=goal_slots), slots, count=100, hold=hold)
+    score, failed, _ = run(Reacher(goal_slots=goal_slots), slots, count=100, hold=hold)
     assert failed == 0 and low < score < high
 
 

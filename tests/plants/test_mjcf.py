@@ -96,7 +96,7 @@ def test_the_pose_may_be_a_keyframe_and_counts_as_zero(machine):
         (
             machines.ROTARY,
             {"pose": "tilted"},
-            "no equilibrium: with all commands at 0, pole_dot changes by .*give a pose",
+            "no equilibrium: .*at 0, pole_dot changes by .*give a pose",
         ),
         (machines.ROTARY, {"pose": {"pole": 0.3}}, "no equilibrium"),
         (machines.FALLING, {"action": {"lid": [-1, 1]}}, "in the air and falls: give settle"),
@@ -105,7 +105,7 @@ def test_the_pose_may_be_a_keyframe_and_counts_as_zero(machine):
         (
             machines.ROTARY,
             {"state": ["wheel"]},
-            "state names wheel; the model has the joints arm, pole and the sensors",
+            "state names wheel; .* the joints arm, pole and the sensors arm_",
         ),
         (machines.ROTARY, {"action": {"motor": [-1, 1]}}, "action names motor; the model has drive"),
         (machines.ROTARY, {"action": {}}, "action names no actuator; the model has drive"),
@@ -132,7 +132,7 @@ def test_an_absent_file_is_named(tmp_path):
 
 def test_what_has_no_regulator_is_a_plant_without_one(machine):
     plant = machine(machines.FALLING, action={"lid": [-1, 1]}, expert=None)
-    score, failed, final = run(plant, 5, count=2)
+    _, failed, final = run(plant, 5, count=2)
     assert failed == 0 and final[0, 2] < -0.01  # it falls
     settled = machine(machines.FALLING, action={"lid": [-1, 1]}, settle=2.0)
     assert run(settled, 5, count=2)[0] == 1.0
@@ -145,7 +145,7 @@ def test_a_regulator_leaves_alone_what_rests_and_cannot_be_moved():
     cost = scipy.linalg.solve_discrete_are(a[:1, :1].numpy(), b[:1].numpy(), [[1.0]], [[1.0]])
     torch.testing.assert_close(gain[0, 0].item(), float(cost[0, 0] * 1.1 / (1 + cost[0, 0])))
     assert gain[0, 1:].abs().max() < 1e-9
-    with pytest.raises(ValueError, match="z grows 1.5-fold"):
+    with pytest.raises(ValueError, match=r"z grows 1\.5-fold"):
         balancing_gain(a + torch.diag(torch.tensor([0.0, 0.0, 1.0])), b, (1.0,) * 3, (1.0,), ["x", "y", "z"])
 
 
@@ -183,7 +183,7 @@ wild = pytest.mark.skipif(not WILD.is_dir(), reason="the robot of ../shared/wild
 
 @wild
 def test_the_two_wheeler_is_refused_in_sentences_that_say_what_to_give():
-    with pytest.raises(ValueError, match="material 'wheel_material' not found.*If another file includes this one"):
+    with pytest.raises(ValueError, match=r"material 'wheel_material' not found.*If another file includes this one"):
         MuJoCo(WILD / "robot-02.xml", **TWO_WHEELS)
     with pytest.raises(ValueError, match="in the air and falls: give settle"):
         MuJoCo(WILD / "scene.xml", **TWO_WHEELS)

@@ -26,9 +26,12 @@ STATE = ("state_dict", "optimizer_states", "lr_schedulers", "global_step", "epoc
 
 
 def keep_every_checkpoint(recipe: dict) -> dict:
-    for callback in recipe["trainer"]["callbacks"]:
-        if callback["class_path"].endswith("ModelCheckpoint"):
-            callback["init_args"]["save_top_k"] = -1
+    """With a checkpoint of each epoch beside the last one's."""
+    options = {"dirpath": f"{recipe['trainer']['default_root_dir']}/every", "save_top_k": -1}
+    # another mode, because Lightning wants different ones
+    options |= {"every_n_epochs": 1, "save_on_train_epoch_end": True, "mode": "max"}
+    every = {"class_path": "lightning.pytorch.callbacks.ModelCheckpoint", "init_args": options}
+    recipe["trainer"]["callbacks"] = [*recipe["trainer"].get("callbacks", []), every]
     return recipe
 
 
@@ -40,15 +43,16 @@ def home(tmp_path_factory):
         recipe = tiny.shrink(tiny.load(name))
         if name in CASES:
             recipe = keep_every_checkpoint(tiny.replace(recipe, CHANGES | CASES[name]))
+            recipe["trainer"] |= CHANGES
         tiny.write(folder, name, recipe)
     done = {}
 
     def once(name: str) -> Path:
         if name not in done:
-            path = Path(tiny.exported(tiny.load(name))).parent
+            path = Path(tiny.exported(tiny.merged(name))).parent
             if name == "recipes/actor.yaml" and not Path("runs/jepa/model").exists():
                 shutil.copytree(once("recipes/jepa.yaml") / "model", "runs/jepa/model")
-            assert cli.main(["fit", "--config", name]) == 0
+            assert cli.main(tiny.command_of(name)) == 0
             done[name] = path.rename(path.with_name(path.name + "-undisturbed"))
         return done[name]
 
@@ -92,14 +96,14 @@ def assert_same(undisturbed: Path, resumed: Path) -> None:
 def test_resumed_from_any_epoch_it_is_bit_identical(home, name, epoch):
     """After an epoch without and one with a validation, and after the last one, where only the export is left."""
     undisturbed = home(name)
-    folder = Path(tiny.exported(tiny.load(name))).parent
+    folder = Path(tiny.exported(tiny.merged(name))).parent
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
     shutil.copy(undisturbed / "metrics.csv", folder)
-    (checkpoint,) = (undisturbed / "checkpoints").glob(f"epoch={epoch}-*.ckpt")
+    (checkpoint,) = (undisturbed / "every").glob(f"epoch={epoch}-*.ckpt")
     (folder / "checkpoints").mkdir()
     shutil.copy(checkpoint, folder / "checkpoints" / "last.ckpt")
-    assert cli.main(["fit", "--config", name, "--ckpt_path", "last"]) == 0
+    assert cli.main([*tiny.command_of(name), "--ckpt_path", "last"]) == 0
     assert_same(undisturbed, folder)
 
 

@@ -16,7 +16,11 @@ from tsjepa.training.callbacks import Pace, pace
 from tsjepa.training.finish import refine
 
 FINISH = "tsjepa.training.finish"
-MORE = [f"{FINISH}.probe.FitProbe", f"{FINISH}.decoder.FitDecoder", f"{FINISH}.codec.FitCodec"]
+MORE = {
+    f"{FINISH}.probe.FitProbe": {"steps": 2},
+    f"{FINISH}.decoder.FitDecoder": {"steps": 2},
+    f"{FINISH}.codec.FitCodec": {},
+}
 
 
 @pytest.fixture
@@ -26,13 +30,9 @@ def home(tmp_path, monkeypatch):
     recipe = tiny.shrink(tiny.load("recipes/jepa.yaml"))
     del recipe["trainer"]["precision"]
     recipe["trainer"]["max_epochs"] = 1
-    callbacks = recipe["trainer"]["callbacks"]
-    place = [callback["class_path"].endswith("ExportModel") for callback in callbacks].index(True)
-    callbacks[place:place] = [{"class_path": name} for name in MORE]
-    for callback in callbacks[place : place + 2]:
-        callback["init_args"] = {"steps": 2}
+    recipe["trainer"]["callbacks"] += [{"class_path": name, "init_args": options} for name, options in MORE.items()]
     tiny.write(tmp_path, "recipe.yaml", recipe)
-    tiny_data.write(tmp_path / recipe["data"]["init_args"]["path"], slots=40)
+    tiny_data.write(tmp_path / recipe["data"]["init_args"]["path"], slots=40, **tiny_data.SPLITS | {"train": 16})
     return tmp_path / "runs/jepa"
 
 
@@ -56,7 +56,7 @@ def test_a_fit_computes_in_what_the_machine_is_fastest_in_and_says_so(home, auto
     monkeypatch.setattr(Pace, "TIMED", 1)
     assert cli.main(["fit", "--config", "recipe.yaml"]) == 0
     said = capsys.readouterr().out
-    assert "TS-JEPA: computes in bf16-mixed, contiguous, on " in said
+    assert "This fit computes in bf16-mixed, contiguous, on " in said
     assert " s a step, about " in said and ", then CentreEmbedding, RefinePredictor, FitProbe" in said
     config = yaml.safe_load((home / "config.yaml").read_text())
     assert (config["trainer"]["precision"], config["memory_format"]) == ("bf16-mixed", "contiguous")
@@ -73,7 +73,7 @@ def test_a_fit_computes_in_what_the_machine_is_fastest_in_and_says_so(home, auto
 def test_a_precision_that_is_given_holds_for_the_finishes_too(home, autocast, monkeypatch, capsys):
     monkeypatch.setattr(run, "choose", None)
     assert cli.main(["fit", "--config", "recipe.yaml", "--trainer.precision", "32-true"]) == 0
-    assert "TS-JEPA: computes in 32-true, channels_last, on " in capsys.readouterr().out
+    assert "This fit computes in 32-true, channels_last, on " in capsys.readouterr().out
     assert autocast and not any(autocast)
 
 

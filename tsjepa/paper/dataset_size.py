@@ -14,8 +14,7 @@ from tsjepa.paper.training import trained_rows
 TITLE = "Training data-set size"
 CAPTION = (
     "TS-JEPA and its actor trained by the shipped recipes with a fraction of their steps, the same for every point, on "
-    "the first 25, 50, 100 or all 180 training trajectories (the paper's 200 less 20 for early stopping); one training "
-    "seed, on a CPU."
+    "the first 25, 50, 100 or 180 training trajectories; one training seed, on a CPU."
 )
 MEASURES = ("score", "nmae")
 COLLAPSED, LOWER = 0.5, 0.8  # of the effective rank with the most data

@@ -12,6 +12,7 @@ from types import ModuleType
 from tsjepa.paper import FIGURES, module_of, store
 from tsjepa.paper.claims import CLAIMS, NOT, PARTLY, REPRODUCED, UNMEASURED, Claim, Verdict
 from tsjepa.paper.command import RESULTS, points_of, recipe_settings, redraw
+from tsjepa.paper.sweep import all_weights
 from tsjepa.support.files import write_text
 
 HEAD = (
@@ -80,11 +81,13 @@ def tally(verdicts: dict[str, Verdict]) -> str:
 
 
 def origins(records: list[dict]) -> list[str]:
-    """The commands that made the results, with commit, date and number of points."""
+    """The commands that made the results, with commit, date, what has changed since, and number of points."""
     counts: dict[str, int] = {}
     for record in records:
         made = record["made_by"]
-        line = f"`{made['command']}` (commit {made['commit']}, {made['date']})"
+        restated = f"; restated: {made['restated']}" if "restated" in made else ""
+        changed = "" if record["weights"] == all_weights(record["point"]) else "; by other weights or recipes than here"
+        line = f"`{made['command']}` (commit {made['commit']}, {made['date']}{restated}{changed})"
         counts[line] = counts.get(line, 0) + 1
     return [f"{line}: {count} points" for line, count in counts.items()]
 

@@ -15,7 +15,8 @@ DIGITS = 6
 def read(folder: str | Path, figure: str) -> list[dict]:
     """The records of a figure, none where nothing was recorded.
 
-    A record has ``point``, ``rows``, ``seconds`` (that it took), ``made_by`` (command, commit, date) and ``weights``
+    A record has ``point``, ``rows``, ``seconds`` (that it took), ``made_by`` (command, commit, date, and where its rows
+    were computed anew from what was recorded, ``restated``: how) and ``weights``
     (of every model of the zoo and every recipe that it used, the first digits of the hash).
     """
     path = Path(folder) / f"{figure}.json"

@@ -38,6 +38,19 @@ def mean_snr(path_loss_db: Tensor, tx_power_dbm: Tensor | float, bandwidth_hz: f
     return db_to_linear(tx_power_dbm - loss - noise_dbm(bandwidth_hz))
 
 
+def rise_over_thermal_db(interference_dbm: Tensor | float, bandwidth_hz: float) -> Tensor:
+    """How far interference lifts the noise floor: 10 log10(1 + I / N), dB, float64; I within ``bandwidth_hz``."""
+    ratio = db_to_linear(torch.as_tensor(interference_dbm, dtype=torch.float64) - noise_dbm(bandwidth_hz))
+    return 10 * torch.log10(1 + ratio)
+
+
+def sinr(snr: Tensor, rise_db: Tensor | float) -> Tensor:
+    """SINR under interference that lifts the noise floor by ``rise_db`` >= 0; both ratios linear, broadcast."""
+    if bool((torch.as_tensor(rise_db) < 0).any()):
+        raise ValueError("interference cannot lower the noise floor: the rise over thermal must be at least 0 dB")
+    return snr / db_to_linear(rise_db).to(snr)
+
+
 def tx_power_for_target_dbm(path_loss_db: Tensor, snr_target_db: float, bandwidth_hz: float) -> Tensor:
     """Power control: the transmit power in dBm that brings the mean SNR to the target, float64."""
     return snr_target_db + torch.as_tensor(path_loss_db, dtype=torch.float64) + noise_dbm(bandwidth_hz)

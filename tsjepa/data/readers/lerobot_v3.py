@@ -11,7 +11,8 @@ import numpy as np
 from tsjepa.data.readers.episode import Episode, Skipped
 from tsjepa.data.readers.pictures import natural
 from tsjepa.data.readers.video import video_index
-from tsjepa.support.tables import Table, read_table
+from tsjepa.support.foreign import optional
+from tsjepa.support.tables import Table, parquet_rows, read_table
 
 if TYPE_CHECKING:
     from tsjepa.data.readers.lerobot import LeRobot
@@ -52,8 +53,10 @@ def _entries(recording: LeRobot) -> dict[int, dict]:
         raise ValueError("the rows have no column episode_index, so nobody can tell where an episode ends.")
     entries = {}
     for file in sorted((recording.path / "meta" / "episodes").rglob("*.parquet"), key=natural):
-        table = read_table(file)
-        keys = [key for key in table if not key.startswith("stats/")]
+        if not parquet_rows(file):
+            continue
+        keys = [key for key in optional("pyarrow.parquet").read_schema(file).names if not key.startswith("stats/")]
+        table = read_table(file, keys)
         for row in range(len(table.get("episode_index", ()))):
             entry = {key: table[key][row] for key in keys}
             entries[int(entry["episode_index"])] = entry
