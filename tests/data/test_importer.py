@@ -1,6 +1,8 @@
 """Import: what reaches the data set, bit by bit, and what is left out, named and counted."""
 
 import json
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -264,3 +266,16 @@ def test_the_last_command_of_an_environments_recorder_is_not_missed(tmp_path):
     commands = splits["train"]["action"][:, :-1].reshape(-1, 2).numpy()
     np.testing.assert_array_equal(commands, make.commands(9, 2)[:-1])
     assert not any("no finite command" in note for note in report["notes"])
+
+
+def test_import_needs_no_simulator(tmp_path):
+    """Whoever has recordings and no plant needs neither mujoco nor dm-control."""
+    path = make.videos_and_csv(tmp_path / "recording", [9, 9])
+    program = (
+        "import sys\n"
+        "sys.modules.update(dict.fromkeys(('mujoco', 'dm_control', 'torchrl', 'lightning')))\n"
+        "from tsjepa.cli import main\n"
+        f"sys.exit(main(['import', {str(path)!r}, {str(tmp_path / 'set')!r}, '--slots', '4']))\n"
+    )
+    assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0
+    assert read_metadata(tmp_path / "set")["slots"] == 4

@@ -20,6 +20,7 @@ def imported(part, folder, *options):
     return json.loads((folder / "import.json").read_text()), metadata, splits
 
 
+@pytest.mark.slow
 def test_the_arm_has_five_episodes_and_a_clock_one_frame_ahead(tmp_path):
     report, metadata, splits = imported("recordings/arm-lerobot-v20", tmp_path / "set")
     assert report["format"] == "LeRobot v2.0" and report["episodes"] == 5
@@ -35,6 +36,7 @@ def test_the_arm_has_five_episodes_and_a_clock_one_frame_ahead(tmp_path):
     assert metadata["spec"]["slot"] == pytest.approx(0.05)
 
 
+@pytest.mark.slow
 def test_the_humanoid_has_one_episode_whose_state_follows_by_nine_frames(tmp_path):
     report, _, _ = imported("recordings/humanoid-lerobot-v21", tmp_path / "set")
     assert report["format"] == "LeRobot v2.1" and report["episodes"] == 1
@@ -51,6 +53,7 @@ def test_the_humanoids_nested_names_are_flat():
     assert episode.action_names[0] == "kLeftShoulderPitch" and len(episode.action_names) == 26
 
 
+@pytest.mark.slow
 def test_the_car_is_split_at_its_gaps_and_its_missing_catalogs_are_named(tmp_path):
     report, metadata, splits = imported("recordings/car-tub", tmp_path / "set")
     assert report["format"] == "Donkeycar tub v2"
@@ -63,6 +66,7 @@ def test_the_car_is_split_at_its_gaps_and_its_missing_catalogs_are_named(tmp_pat
     assert sum(len(split) for split in splits.values()) == 11  # of 579 and 421 records, stretches that share no picture
 
 
+@pytest.mark.slow
 def test_the_cart_pole_that_lerobot_wrote(tmp_path):
     report, metadata, splits = imported("recordings/cartpole-lerobot-v30", tmp_path / "set", "--size", "null")
     assert report["format"] == "LeRobot v3.0" and report["episodes"] == 4 and report["skipped"] == []
@@ -99,6 +103,7 @@ def test_what_cannot_be_used_is_refused_in_one_sentence(part, sentence, command,
 def test_inspect_lists_streams_with_measured_and_claimed_rates(capsys):
     result = inspect_recording(str(wild("recordings/arm-lerobot-v20")))
     pixels, action, state = result["streams"]
+    assert "next.reward" in result["others"] and pixels["coding"] == "h264 yuv420p"
     assert pixels["shape"] == [256, 256, 3] and pixels["rate_hz"] == pytest.approx(20) and pixels["claimed_hz"] == 20
     assert sum(column["constant"] for column in action["columns"]) == 25
     assert sum(column["constant"] for column in state["columns"]) == 18

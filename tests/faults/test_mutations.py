@@ -3,6 +3,7 @@
 ``TSJEPA_MUTATIONS=500 pytest tests/faults/test_mutations.py`` tries 500 damages of every format.
 """
 
+import json
 import os
 import resource
 import shutil
@@ -27,12 +28,13 @@ FORMATS = ["lerobot-v2.1", "lerobot-v3.0", "videos", "pictures", "donkeycar"]
 FORMATS += ["robomimic", "aloha", "stable-worldmodel", "npz", "rosbag-db3", "rosbag-mcap"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", FORMATS)
 def test_a_damaged_recording_is_refused_or_imported_whole(name, valid, tmp_path, capsys):
     options = ["--slots", "4", "--size", "[8, 8]", "--rate_hz", "20"]
     assert main(["import", str(valid[name]), str(tmp_path / "whole"), *options]) == 0
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    refused = 0
+    noticed = 0
     for seed in range(COUNT):
         path = tmp_path / f"damaged{seed}"
         shutil.copytree(valid[name], path)
@@ -45,19 +47,21 @@ def test_a_damaged_recording_is_refused_or_imported_whole(name, valid, tmp_path,
             if status:
                 assert said.err.count("\n") == 1, (done, said.err)
         if status:
-            refused += 1
+            noticed += 1
             assert not (tmp_path / "set").exists(), done
         else:
             for split in read_metadata(tmp_path / "set")["splits"]:
                 stored = open_split(tmp_path / "set", split)
                 assert stored["action"].isfinite().all() and stored["pixels"].shape[1] == 5, done
+            noticed += bool(json.loads((tmp_path / "set" / "import.json").read_text())["skipped"])
             shutil.rmtree(tmp_path / "set")
         assert not list(tmp_path.glob("*.partial")) and not list(tmp_path.glob(".*.lock")), done
         shutil.rmtree(path)
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < MOST_MEMORY
-    assert COUNT < 50 or 0 < refused < COUNT
+    assert COUNT < 50 or noticed > COUNT // 10
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["table.txt", "packets.jsonl", "ping.txt", "iperf.txt", "iw.jsonl", "link.trace"])
 def test_a_damaged_log_of_a_radio_link_is_refused_or_imported_whole(name, tmp_path, capsys):
     valid = base_logs(tmp_path / "valid")[name]

@@ -22,6 +22,12 @@ def embedding():
     return torch.nn.functional.normalize(torch.randn(2, 3, tiny_controller.DIM, generator=generator), dim=-1)
 
 
+def test_the_law_is_given_the_set_point(model, embedding):
+    with torch.no_grad():
+        state, wanted = model.probe(embedding), torch.full((2, 3, 1), 0.3)
+        assert torch.equal(model.act(embedding, wanted), model.law(state, wanted))
+
+
 def test_the_command_is_the_law_applied_to_the_state_read_from_the_reconstruction(model, embedding):
     with torch.no_grad():
         state, force, frame = model.probe(embedding), model.act(embedding), model.decode(embedding)

@@ -184,4 +184,4 @@ def test_a_pushed_model_can_be_pulled(remote, entry, monkeypatch):
 def test_without_the_client_one_sentence_says_what_to_install(monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "huggingface_hub", None)
     with pytest.raises(ModuleNotFoundError, match=r"needs the package huggingface_hub: pip install 'tsjepa\[hub\]'"):
-        hub.download("someone/tiny")
+        hub.download("someone/tiny", entries.FILES)

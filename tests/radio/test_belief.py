@@ -4,8 +4,9 @@ import pytest
 import torch
 
 from tsjepa.radio import GilbertElliott, Known
-from tsjepa.radio.belief import AckLearned, DelayedCsi, PerfectCsi, StatisticalCsi, make_belief
+from tsjepa.radio.belief import DelayedCsi, PerfectCsi, StatisticalCsi, make_belief
 from tsjepa.radio.fading import jakes_power, rayleigh_power
+from tsjepa.radio.feedback import AckLearned
 from tsjepa.radio.loss import erased
 from tsjepa.radio.schedulers import channel_aware, max_age, opportunistic, random
 

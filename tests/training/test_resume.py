@@ -27,7 +27,7 @@ STATE = ("state_dict", "optimizer_states", "lr_schedulers", "global_step", "epoc
 
 def keep_every_checkpoint(recipe: dict) -> dict:
     """With a checkpoint of each epoch beside the last one's."""
-    options = {"dirpath": f"{recipe['trainer']['default_root_dir']}/checkpoints", "save_top_k": -1}
+    options = {"dirpath": f"{recipe['trainer']['default_root_dir']}/every", "save_top_k": -1}
     # another mode, because Lightning wants different ones
     options |= {"every_n_epochs": 1, "save_on_train_epoch_end": True, "mode": "max"}
     every = {"class_path": "lightning.pytorch.callbacks.ModelCheckpoint", "init_args": options}
@@ -100,7 +100,7 @@ def test_resumed_from_any_epoch_it_is_bit_identical(home, name, epoch):
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
     shutil.copy(undisturbed / "metrics.csv", folder)
-    (checkpoint,) = (undisturbed / "checkpoints").glob(f"epoch={epoch}-*.ckpt")
+    (checkpoint,) = (undisturbed / "every").glob(f"epoch={epoch}-*.ckpt")
     (folder / "checkpoints").mkdir()
     shutil.copy(checkpoint, folder / "checkpoints" / "last.ckpt")
     assert cli.main([*tiny.command_of(name), "--ckpt_path", "last"]) == 0

@@ -20,14 +20,13 @@ _NEEDED_DISK_GIB = 4
 _TRIAL = """
 import time
 import numpy as np
-from tsjepa.envs import Renderer
+from tsjepa.plants import CartPole
 
-rng = np.random.default_rng(0)
-qpos = rng.uniform(-0.8, 0.8, size=({frames} + 20, 2))
-renderer = Renderer()
-first = renderer.render(qpos[:20], None)
+plant, rows = CartPole(), np.arange({frames} + 20)
+scenes = plant.scene(plant.start(0, rows, 0 * rows), 0, rows, 0 * rows)
+first = plant.render(scenes[:20])
 start = time.perf_counter()
-renderer.render(qpos[20:], None)
+plant.render(scenes[20:])
 print("frames/s", {frames} / (time.perf_counter() - start) if first.std() > 0 else 0.0)
 """
 
@@ -44,11 +43,15 @@ def doctor(frames: int = 200) -> None:
     """
     if frames < 1:
         raise ValueError(f"frames is {frames}; at least 1 has to be rendered to measure the speed.")
-    to_mend = []
+    to_mend, found = [], {}
     for check in (_machine, _packages, _devices, lambda: _rendering(frames), _commands, _disk):
         lines, problems = check()
         print(*(f"{name:<12}{value}" for name, value in lines), sep="\n", flush=True)
         to_mend += problems
+        found |= dict(lines)
+    if not to_mend:
+        rate = float(found["rendering"].split(": ")[1].split()[0])
+        print(*(f"{name:<12}{value}" for name, value in _speed(rate)), sep="\n", flush=True)
     print()
     if to_mend:
         print(*(f"mend: {sentence}" for sentence in to_mend), sep="\n")
@@ -129,6 +132,23 @@ def _devices() -> Report:
     if shutil.which("nvidia-smi") and torch.version.cuda is None:
         lines.append(("note", "this machine has an NVIDIA driver, but the torch installed here is a CPU build"))
     return lines, []
+
+
+def _speed(frames_per_second: float) -> list[tuple[str, str]]:
+    """What fits compute in here, how fast products are, and about how long the main job takes."""
+    import torch
+
+    from tsjepa.cli.estimate import gemm_rate, main_job
+    from tsjepa.support.precision import describe
+
+    device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    rates = {name: gemm_rate(getattr(torch, name), device) for name in ("float32", "bfloat16")}
+    chosen, seconds = main_job(device, frames_per_second)
+    return [
+        ("products", ", ".join(f"{rate / 1e9:,.3g} GFLOP/s in {name}" for name, rate in rates.items())),
+        ("precision", describe(chosen, device)),
+        ("estimate", f"make train-jepa takes about {max(1, round(seconds / 60))} min"),
+    ]
 
 
 def _rendering(frames: int) -> Report:

@@ -67,6 +67,7 @@ def inspect_recording(
     result = {
         "format": recording.format,
         "cameras": recording.cameras,
+        "others": getattr(recording.recording, "others", []),
         "episodes": [_episode(episode, plan) for episode in recording.seen],
         "streams": _streams(recording, plan),
         "slot_s": plan.slot,
@@ -150,7 +151,8 @@ def _streams(recording: Recording, plan: Plan) -> list[dict]:
         {
             "name": "pixels",
             "shape": [frames.height, frames.width, 3],
-            "dtype": frames.coding,
+            "dtype": "uint8",
+            "coding": frames.coding,
             "rate_hz": measured_rate(frames.times),
             "claimed_hz": recording.rate_hz,
         }
@@ -206,7 +208,8 @@ def _text(path: str, result: dict) -> str:
         measured = f"{stream['rate_hz']:.4g}" if stream["rate_hz"] else "unknown"
         claimed = f"{stream['claimed_hz']:g}" if stream["claimed_hz"] else "nothing"
         lines.append(
-            f"  {stream['name']}: {stream['shape']} {stream['dtype']}, {measured} Hz measured, {claimed} claimed"
+            f"  {stream['name']}: {stream['shape']} {stream.get('coding', stream['dtype'])}, {measured} Hz measured, "
+            f"{claimed} claimed"
         )
         for column in stream.get("columns", [])[:LISTED]:
             span = (
@@ -217,6 +220,9 @@ def _text(path: str, result: dict) -> str:
             lines.append(f"    {column['name']} [{column['unit']}]: {span}")
         if len(stream.get("columns", [])) > LISTED:
             lines.append(f"    ... and {len(stream['columns']) - LISTED} more")
+    if result["others"]:
+        more = f", ... ({len(result['others'])})" if len(result["others"]) > LISTED else ""
+        lines.append(f"also there: {', '.join(result['others'][:LISTED])}{more}")
     lines += [f"note     {note}" for note in result["notes"]]
     lines += [f"skipped  {entry['name']}: {entry['reason']}" for entry in result["skipped"]]
     return "\n".join(lines) + _import_with(result)

@@ -13,30 +13,17 @@ Hidden loss states are never known: their probability follows from the acknowled
 
 from dataclasses import dataclass
 from functools import cache
-from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from tsjepa.radio import feedback, posterior
+from tsjepa.radio.feedback import AckLearned
+from tsjepa.radio.knowledge import Link
 from tsjepa.radio.loss import GilbertElliott, IidLoss
 
 _UNKNOWN = -1.0  # an SNR that was not measured
 _LAGS = 1001
-
-
-class Link(NamedTuple):
-    """What is believed of each link in a slot, [..., I].
-
-    Attributes:
-        snr: expected linear SNR.
-        success: probability that a transmission arrives.
-        above_threshold: bool, whether it can arrive at all: the SNR may reach the threshold.
-    """
-
-    snr: Tensor
-    success: Tensor
-    above_threshold: Tensor
 
 
 @cache
@@ -174,38 +161,6 @@ class DelayedCsi(StatisticalCsi):
         return torch.cat((known, memory[..., 5:], snr.to(torch.float64).unsqueeze(-1)), -1), link
 
 
-@dataclass(frozen=True)
-class AckLearned:
-    """Nothing is known but the outcomes of what was sent; everything in ``success`` is counted, losses included.
-
-    Args:
-        snr_threshold: linear; ``snr`` is the mean that a Rayleigh link of that success probability would have.
-        discount: weight by which a count fades in a slot; 1 never forgets.
-        strength: outcomes that the fleet's overall rate is worth in the estimate of a situation.
-    """
-
-    snr_threshold: float
-    discount: float = 1.0
-    strength: float = 30.0
-
-    @property
-    def width(self) -> int:
-        return 2 * feedback.CELLS + 2
-
-    def start(self, shape: tuple[int, ...], device: torch.device | str = "cpu") -> Tensor:
-        return _pack(feedback.start_counts(shape, device))
-
-    def restart(self, memory: Tensor) -> Tensor:
-        fresh = feedback.start_counts(memory.shape[:-1], memory.device)
-        return _pack(_unpack(memory)._replace(record=fresh.record, since=fresh.since))
-
-    def step(self, memory: Tensor, mean_snr: Tensor, snr: Tensor, sent: Tensor, arrived: Tensor) -> tuple[Tensor, Link]:
-        counts = feedback.update_counts(_unpack(memory), sent, arrived, self.discount)
-        success = feedback.learned_success(counts, self.strength)
-        expected = self.snr_threshold / -torch.log(success.clamp(1e-12, 1.0 - 1e-12))
-        return _pack(counts), Link(expected, success, torch.ones_like(sent))
-
-
 Belief = PerfectCsi | AckLearned
 CSI = ("perfect", "delayed", "statistical", "acks")
 
@@ -225,11 +180,11 @@ def make_belief(
         raise ValueError(f"unknown fading {fading!r}: choose 'rayleigh' or 'none'")
     if csi == "acks":
         return AckLearned(snr_threshold)
-    if csi == "delayed":
+    if csi == "delayed" and fading != "none":
         return DelayedCsi(snr_threshold, loss, max_doppler_hz, slot_s, fading, delay)
-    return {"perfect": PerfectCsi, "statistical": StatisticalCsi}[csi](
-        snr_threshold, loss, max_doppler_hz, slot_s, fading
-    )
+    # without fading the mean is the SNR, however old
+    kind = PerfectCsi if csi == "perfect" else StatisticalCsi
+    return kind(snr_threshold, loss, max_doppler_hz, slot_s, fading)
 
 
 def check_csi(csi: str, csi_delay: int) -> None:
@@ -238,12 +193,3 @@ def check_csi(csi: str, csi_delay: int) -> None:
         raise ValueError(f"unknown csi {csi!r}: choose one of {', '.join(CSI)}")
     if csi_delay < 1:
         raise ValueError(f"csi_delay {csi_delay} must be at least 1 slot; without delay use csi='perfect'")
-
-
-def _pack(counts: feedback.AckCounts) -> Tensor:
-    return torch.cat((counts.acks, counts.sends, torch.stack(counts[2:], -1).to(torch.float64)), -1)
-
-
-def _unpack(memory: Tensor) -> feedback.AckCounts:
-    acks, sends, rest = memory.split((feedback.CELLS, feedback.CELLS, 2), -1)
-    return feedback.AckCounts(acks, sends, *rest.to(torch.int64).unbind(-1))

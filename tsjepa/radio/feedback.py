@@ -4,11 +4,13 @@ The base station receives the updates, so it knows the outcome of every transmis
 devices on the last dimension and any batch before it; ``sent`` and ``arrived`` are bool of that shape.
 """
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
+from tsjepa.radio.knowledge import Link
 from tsjepa.radio.loss import GilbertElliott
 
 _LAGS, _RECORD = 5, 3
@@ -92,6 +94,47 @@ def learned_success(counts: AckCounts, strength: float = 30.0) -> Tensor:
     return rate.expand_as(counts.sends).gather(-1, _cell(counts).unsqueeze(-1)).squeeze(-1)
 
 
+@dataclass(frozen=True)
+class AckLearned:
+    """Nothing is known but the outcomes of what was sent; everything in ``success`` is counted, losses included.
+
+    Args:
+        snr_threshold: linear; ``snr`` is the mean that a Rayleigh link of that success probability would have.
+        discount: weight by which a count fades in a slot; 1 never forgets.
+        strength: outcomes that the fleet's overall rate is worth in the estimate of a situation.
+    """
+
+    snr_threshold: float
+    discount: float = 1.0
+    strength: float = 30.0
+
+    @property
+    def width(self) -> int:
+        return 2 * CELLS + 2
+
+    def start(self, shape: tuple[int, ...], device: torch.device | str = "cpu") -> Tensor:
+        return _pack(start_counts(shape, device))
+
+    def restart(self, memory: Tensor) -> Tensor:
+        fresh = start_counts(memory.shape[:-1], memory.device)
+        return _pack(_unpack(memory)._replace(record=fresh.record, since=fresh.since))
+
+    def step(self, memory: Tensor, mean_snr: Tensor, snr: Tensor, sent: Tensor, arrived: Tensor) -> tuple[Tensor, Link]:
+        counts = update_counts(_unpack(memory), sent, arrived, self.discount)
+        success = learned_success(counts, self.strength)
+        expected = self.snr_threshold / -torch.log(success.clamp(1e-12, 1.0 - 1e-12))
+        return _pack(counts), Link(expected, success, torch.ones_like(sent))
+
+
 def _cell(counts: AckCounts) -> Tensor:
     lag = torch.log2(counts.since.to(torch.float64)).ceil().clamp(max=_LAGS - 1).to(torch.int64)
     return counts.record * _LAGS + lag
+
+
+def _pack(counts: AckCounts) -> Tensor:
+    return torch.cat((counts.acks, counts.sends, torch.stack(counts[2:], -1).to(torch.float64)), -1)
+
+
+def _unpack(memory: Tensor) -> AckCounts:
+    acks, sends, rest = memory.split((CELLS, CELLS, 2), -1)
+    return AckCounts(acks, sends, *rest.to(torch.int64).unbind(-1))

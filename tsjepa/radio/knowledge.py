@@ -1,4 +1,4 @@
-"""What a scheduler may know in a slot, as one value."""
+"""What a scheduler may know in a slot, and what may be believed of its links, as one value each."""
 
 from typing import NamedTuple
 
@@ -21,7 +21,8 @@ class Known(NamedTuple):
         memory: [..., I] float64, what the scheduler returned in the slot before, zeros at first; it outlives episodes.
         demand: [..., I] int64 resource units that each device needs, or None: one each.
         urgency: [..., I] what each device says of its own need, >= 0, or None where devices say nothing.
-        weight: [..., I] priority, > 0, by which a device's gain is multiplied, or None: all alike.
+        weight: [..., I] priority, > 0, by which ``max_weight``, ``whittle`` and ``channel_aware`` multiply a device's
+            gain, or None: all alike.
         slot: int64 slots since the device's episode began, broadcast against [..., I], or None where no plant counts.
         signalling_bits: bits that were spent in this slot to know it, int or [..., I] int64.
     """
@@ -38,3 +39,17 @@ class Known(NamedTuple):
     weight: Tensor | None = None
     slot: Tensor | None = None
     signalling_bits: int | Tensor = 0
+
+
+class Link(NamedTuple):
+    """What is believed of each link in a slot, [..., I].
+
+    Attributes:
+        snr: expected linear SNR.
+        success: probability that a transmission arrives.
+        above_threshold: bool, whether it can arrive at all: the SNR may reach the threshold.
+    """
+
+    snr: Tensor
+    success: Tensor
+    above_threshold: Tensor

@@ -77,12 +77,12 @@ def max_age(known: Known):
 def max_weight(known: Known):
     """Largest expected drop of the squared age: p h (h + 2), the quadratic Lyapunov drift (Kadota et al., 2018)."""
     age = known.age.to(known.success.dtype)
-    return _grant(known.success * age * (age + 2), known), known.memory
+    return _grant(_weighted(known.success * age * (age + 2), known), known), known.memory
 
 
 def whittle(known: Known):
     """Largest Whittle index of the age first; a device that cannot succeed is left out."""
-    score = whittle_index(known.age, known.success)
+    score = _weighted(whittle_index(known.age, known.success), known)
     return grant(score, known.candidate & (known.success > 0), known.demand, known.budget), known.memory
 
 
@@ -120,7 +120,7 @@ def channel_aware(
         score = success_weight * known.success + freshness
     else:
         raise ValueError(f"unknown aoi_reset {aoi_reset!r}: choose 'delivery' or 'scheduled'")
-    return grant(score, _gate(known, snr_gate), known.demand, known.budget), known.memory
+    return grant(_weighted(score, known), _gate(known, snr_gate), known.demand, known.budget), known.memory
 
 
 def channel_aware_literal(
@@ -225,6 +225,10 @@ def _check_signature(scheduler: Callable) -> None:
 
 def _grant(score: Tensor, known: Known) -> Tensor:
     return grant(score, known.candidate, known.demand, known.budget)
+
+
+def _weighted(score: Tensor, known: Known) -> Tensor:
+    return score if known.weight is None else score * known.weight
 
 
 def _gate(known: Known, snr_gate: bool) -> Tensor:

@@ -5,7 +5,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from tsjepa.radio.belief import AckLearned, check_csi
+from tsjepa.radio.belief import check_csi
+from tsjepa.radio.feedback import AckLearned
 from tsjepa.radio.knowledge import Known
 from tsjepa.radio.link import db_to_linear
 from tsjepa.radio.schedulers import SchedulerFunction, get_scheduler

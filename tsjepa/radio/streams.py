@@ -8,7 +8,10 @@ nobody else's channel by a bit, and nothing has to be stored to replay a slot. T
 import torch
 from torch import Tensor
 
-STREAMS = ("position", "los", "shadowing", "fading", "loss", "scheduler")
+STREAMS = (
+    *("position", "los", "shadowing", "fading", "loss", "scheduler"),
+    *("delay", "ack", "downlink_delay", "downlink_loss"),
+)
 
 
 def _signed(value: int) -> int:

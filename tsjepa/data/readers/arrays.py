@@ -27,6 +27,7 @@ class ArrayRecording:
     def __init__(self, streams: Streams) -> None:
         self.streams, self.notes = streams, []
         self.cameras: list[str] = []
+        self.others: list[str] = []
 
     def episodes(self, name: str, arrays: Mapping[str, object]) -> Iterator[Episode | Skipped]:
         """Episodes of the arrays that one file or group holds.
@@ -72,6 +73,9 @@ class ArrayRecording:
             raise ValueError(f"it has no commands among {listed}: name the array of commands (--action).")
         state_keys = self.streams.state or [key for key in STATE if shapes.get(key)][:1]
         time_key = self.streams.time or next((key for key in TIME if len(shapes.get(key, ())) == 1), None)
+        taken = {self.streams.camera or cameras[0], *action_keys, *state_keys, time_key}
+        others = [f"{key} {tuple(array.shape[1:])} {array.dtype}" for key, array in arrays.items() if key not in taken]
+        self.others += [other for other in others if other not in self.others]
         return self.streams.camera or cameras[0], action_keys, state_keys, time_key
 
     @staticmethod

@@ -60,6 +60,7 @@ class Donkeycar:
         ]
         if not self.action_names:
             raise ValueError(f"{path} records no command of the user; it records {', '.join(kinds)}.")
+        self.others = [name for name in kinds if name not in (*self.action_names, self.camera)]
         current = manifest.get("current_index")
         if isinstance(current, int) and current != len(self.records):
             self.notes.append(f"The manifest counts {current} records; {len(self.records)} are there.")

@@ -119,12 +119,14 @@ class Recording(Protocol):
         format: name and version, such as "LeRobot v2.1".
         rate_hz: pictures a second as the metadata claim, or None.
         cameras: image streams that are there.
+        others: further streams that are there and not taken, by name.
         notes: where files and metadata disagree and what is missing, one sentence each.
     """
 
     format: str
     rate_hz: float | None
     cameras: list[str]
+    others: list[str]
     notes: list[str]
 
     def __init__(self, path: Path, streams: Streams) -> None: ...

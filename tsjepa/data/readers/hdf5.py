@@ -37,7 +37,7 @@ class Hdf5:
         refuse_pointers(self.files)
         self.streams, self.rate_hz = streams, streams.rate_hz
         self.recording = ArrayRecording(streams)
-        self.notes, self.cameras = self.recording.notes, self.recording.cameras
+        self.notes, self.cameras, self.others = self.recording.notes, self.recording.cameras, self.recording.others
         self.format = "HDF5"
         self._opened = []
         for file in self.files:

@@ -59,6 +59,8 @@ class LeRobot:
             self.notes.append(f"info.json claims {rate!r} frames a second.")
         self.cameras = self._cameras()
         self.camera = self._camera()
+        taken = {*self.wanted_columns(), self.camera}
+        self.others = [name for name in dict.fromkeys([*self.columns, *self.cameras]) if name not in taken]
         self._episodes = self.layout.list_episodes(self)
 
     def _columns(self) -> list[str]:

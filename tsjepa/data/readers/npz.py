@@ -29,7 +29,8 @@ class Npz:
         self.files = [path] if path.is_file() else sorted(path.glob("*.npz"), key=natural)
         refuse_pointers(self.files)
         self.recording = ArrayRecording(streams)
-        self.rate_hz, self.notes, self.cameras = streams.rate_hz, self.recording.notes, self.recording.cameras
+        self.rate_hz, self.notes = streams.rate_hz, self.recording.notes
+        self.cameras, self.others = self.recording.cameras, self.recording.others
 
     def episodes(self) -> Iterator[Episode | Skipped]:
         """The episodes of every file."""

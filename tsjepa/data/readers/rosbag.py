@@ -62,6 +62,9 @@ class RosBag:
         self.actions, self.states = ([self._topic(name, listed) for name in names] for names in
                                      (wanted, streams.state or []))  # fmt: skip
 
+        taken = {self.camera, *(topic for topic, _ in [*self.actions, *self.states])}
+        self.others = [f"{name} ({kind})" for name, kind in self.topics.items() if name not in taken]
+
     def _choose(self, wanted: str | None, candidates: list[str], what: str, option: str, listed: str) -> str:
         if wanted is not None:
             if wanted not in self.topics:

@@ -28,7 +28,6 @@ class VideoIndex:
     rate_hz: float | None
 
 
-@functools.lru_cache(maxsize=64)
 def video_index(path: Path) -> VideoIndex:
     """Reads every packet's stamp without decoding it, and decodes the first frame for its true size and rotation.
 
@@ -36,6 +35,12 @@ def video_index(path: Path) -> VideoIndex:
         ValueError: there is no video in the file, or nothing of it can be decoded.
     """
     refuse_pointer(path)
+    status = path.stat()
+    return _index(path, status.st_mtime_ns, status.st_size)
+
+
+@functools.lru_cache(maxsize=64)
+def _index(path: Path, changed_ns: int, size: int) -> VideoIndex:
     av = optional("av")
     try:
         with av.open(str(path)) as container:

@@ -46,7 +46,7 @@ class Videos:
                 self.folders.setdefault(file.parent, []).append(file)
         self.tables = [file for file in files if file.suffix.lower() in tables.SUFFIXES]
         refuse_pointers(self.clips or self.tables)
-        self.cameras = []
+        self.cameras, self.others = [], []
         self.format = "folder of videos" if self.clips else "folder of pictures"
         if not self.tables:
             what = f"{len(self.clips)} videos" if self.clips else f"{sum(map(len, self.folders.values()))} pictures"
@@ -75,6 +75,8 @@ class Videos:
             raise ValueError(f"no column is called a command; say which of {', '.join(others)} are (--action).")
         listed = self._listed(table)
         state_names, state = names.columns_like(table, self.streams.state, "state", {*skip, *action_names})
+        taken = {*skip, *action_names, *state_names, *PICTURE}
+        self.others += [name for name in table if name not in {*taken, *self.others}]
         return Episode(
             name=source.name,
             frames=self._frames(source, listed),

@@ -1,0 +1,88 @@
+"""What it costs a plant that its controller knows its state only as it was some slots ago.
+
+A controller that predicts a linear plant x' = A x + B u + w without an update for h slots errs by a covariance of
+sum_{k < h} A^k W A^kT. Weighed with a matrix P, such as the solution of the Riccati equation, its trace is the plant's
+own cost of age, in the units of the quadratic cost that P belongs to.
+"""
+
+import torch
+from torch import Tensor
+
+
+def age_cost_table(transition: Tensor, value: Tensor, noise: Tensor, max_age: int) -> Tensor:
+    """tr(P sum_{k < h} A^k W A^kT) for the ages h = 0 to ``max_age``.
+
+    Args:
+        transition: A [..., n, n], of one slot; one for all devices, or [I, n, n].
+        value: P, symmetric and positive semidefinite.
+        noise: W, covariance of what disturbs the state in a slot.
+        max_age: largest age, at least 1.
+
+    Returns:
+        [..., max_age + 1] float64, ascending from 0.
+
+    Raises:
+        ValueError: the matrices do not fit each other, or the cost at ``max_age`` is not finite any more.
+    """
+    a, p, w = (torch.as_tensor(x, dtype=torch.float64) for x in (transition, value, noise))
+    if max_age < 1:
+        raise ValueError(f"max_age {max_age} must be at least 1 slot")
+    if not a.shape[-2:] == p.shape[-2:] == w.shape[-2:] or a.shape[-1] != a.shape[-2]:
+        raise ValueError(f"A {tuple(a.shape)}, P {tuple(p.shape)} and W {tuple(w.shape)} must be square and alike")
+    costs = [torch.zeros(torch.broadcast_shapes(a.shape[:-2], p.shape[:-2], w.shape[:-2]), dtype=torch.float64)]
+    for _ in range(max_age):
+        costs.append(costs[-1] + (p * w.mT).sum((-2, -1)))
+        w = a @ w @ a.mT
+    table = torch.stack(costs, -1)
+    if not bool(table.isfinite().all()):
+        raise ValueError(f"the plant's cost at an age of {max_age} slots exceeds all numbers: give a smaller max_age")
+    return table
+
+
+def age_cost(table: Tensor, ages: Tensor) -> Tensor:
+    """Cost at ``ages`` [..., I] from a table [max_age + 1] or [I, max_age + 1], float64; beyond its end, its last."""
+    ages = ages.to(torch.int64).clamp(max=table.shape[-1] - 1)
+    table = table.to(ages.device)
+    if table.ndim == 1:
+        return table[ages]
+    return table.expand(*ages.shape, table.shape[-1]).gather(-1, ages.unsqueeze(-1)).squeeze(-1)
+
+
+def cost_weight(table: Tensor, ages: Tensor, demand: Tensor | None = None, growth: str = "linear") -> Tensor:
+    """Weight that puts the plant's cost of age in the place of a scheduler's own: their ratio at each age, float64.
+
+    Args:
+        table, ages: as of :func:`age_cost`.
+        demand: [..., I] resource units, for the weight per unit.
+        growth: the scheduler's own cost: "linear" is the age (``whittle``; a cost of a times the age has the weight a),
+            "logarithmic" is 1 + log(1 + age) (``channel_aware`` with its default weights, whose gain becomes the
+            probability of success times the plant's cost).
+    """
+    own = {"linear": ages.clamp(min=1), "logarithmic": 1 + torch.log1p(ages.to(torch.float64))}
+    if growth not in own:
+        raise ValueError(f"unknown growth {growth!r}: choose 'linear' or 'logarithmic'")
+    weight = age_cost(table, ages) / own[growth]
+    return weight if demand is None else weight / demand.clamp(min=1)
+
+
+def cost_whittle_index(table: Tensor, ages: Tensor, success: Tensor, terms: int = 64) -> Tensor:
+    """Whittle index of a device whose cost is any function f of its age (Tripathi and Modiano, 2019).
+
+    p^2 h sum_{k >= 1} f(h + k) (1 - p)^(k - 1) - p sum_{j <= h} f(j), which is ``whittle_index`` for f(h) = a h. The
+    first sum is cut after ``terms``, the rest of its weight given to the last one.
+
+    Args:
+        table: f, as of :func:`age_cost_table`.
+        ages: h [..., I], slots since the last delivery, >= 1.
+        success: p [..., I].
+
+    Returns:
+        float64 [..., I].
+    """
+    success = success.to(torch.float64)
+    step = torch.arange(1, terms + 1, device=ages.device)
+    share = success.unsqueeze(-1) * (1.0 - success.unsqueeze(-1)) ** (step - 1)
+    share[..., -1] += (1.0 - success) ** terms
+    ahead = torch.stack([age_cost(table, ages + k) for k in step], -1)
+    summed = age_cost(table.cumsum(-1), ages)
+    return success * (ages * (share * ahead).sum(-1) - summed)

@@ -1,0 +1,215 @@
+"""Radio links as they were measured: tables of rows (time, device, what was measured), and their values in each slot.
+
+The normal form is a CSV or Parquet file with the columns
+
+    time_s     seconds, float, ascending for each device
+    device     name or number; without the column there is one device
+    snr_db, sinr_db, rsrp_dbm, delay_ms    measured values; an empty cell is no value
+    lost       1 where the packet of that row was lost, else 0
+
+of which all but ``time_s`` may be absent. Files with other names and units are read by saying which column is which.
+"""
+
+import csv
+import math
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+VALUES = ("snr_db", "sinr_db", "rsrp_dbm", "delay_ms", "lost")
+
+
+class Trace(NamedTuple):
+    """Rows of a trace, sorted by device and time.
+
+    Attributes:
+        time_s: [N] float64, from 0 at the first row of all.
+        device: [N] int64, place in ``names``.
+        names: of the devices.
+        values: column -> [N] float64, not a number where the cell is empty.
+    """
+
+    time_s: Tensor
+    device: Tensor
+    names: tuple[str, ...]
+    values: dict[str, Tensor]
+
+
+class SlotTrace(NamedTuple):
+    """A trace on a grid of slots.
+
+    Attributes:
+        values: column -> [devices, slots] float64, the last measured value, not a number before the first.
+        rows: [devices, slots] int64, rows of the file that fall into the slot: 0 where the value is an older one.
+    """
+
+    values: dict[str, Tensor]
+    rows: Tensor
+
+
+def read_trace(
+    path: str | Path, columns: Mapping[str, str] | None = None, time_unit_s: float = 1.0, separator: str | None = ","
+) -> Trace:
+    """Read a trace from CSV or Parquet (which needs pyarrow: ``pip install tsjepa[data]``).
+
+    Args:
+        path: ``.parquet``, or text with one row of names.
+        columns: name in the normal form -> name in the file, for files in another form; other columns are ignored.
+        time_unit_s: seconds of one unit of the file's time: 1e-3 for milliseconds.
+        separator: between the cells of a text file; None for any white space.
+
+    Raises:
+        ValueError: naming the file and what is wrong with it: no time, no values, no rows, a row of another length, a
+            cell that is no number.
+    """
+    path = Path(path)
+    table = _parquet(path) if path.suffix == ".parquet" else _text(path, separator)
+    columns = columns or {name: name for name in ("time_s", "device", *VALUES) if name in table}
+    unknown = set(columns) - {"time_s", "device", *VALUES}
+    missing = [name for name in columns.values() if name not in table]
+    if unknown or missing:
+        wrong = f"no column {missing[0]!r}" if missing else f"nothing to do with {min(unknown)!r}"
+        raise ValueError(f"{path} has {wrong}: its columns are {', '.join(table)}")
+    if "time_s" not in columns or not set(columns) & set(VALUES):
+        raise ValueError(f"a trace needs time_s and one of {', '.join(VALUES)}; {path} has {', '.join(table)}")
+    time = _numbers(path, columns["time_s"], table) * time_unit_s
+    if not len(time):
+        raise ValueError(f"{path} has no rows")
+    if bool(time.isnan().any()):
+        raise ValueError(f"{path}: row {int(time.isnan().nonzero()[0]) + 1} has no time")
+    labels = [str(cell) for cell in table[columns["device"]]] if "device" in columns else ["0"] * len(time)
+    names = tuple(dict.fromkeys(labels))
+    device = torch.tensor([names.index(label) for label in labels])
+    order = torch.argsort(time, stable=True)
+    order = order[torch.argsort(device[order], stable=True)]
+    values = {name: _numbers(path, columns[name], table)[order] for name in VALUES if name in columns}
+    return Trace((time - time.min())[order], device[order], names, values)
+
+
+def write_trace(path: str | Path, trace: Trace) -> None:
+    """Write a trace in the normal form, CSV or (by its suffix) Parquet; the file appears when it is whole."""
+    path = Path(path)
+    partial = path.with_name(path.name + ".partial")
+    table = {"time_s": trace.time_s.tolist(), "device": [trace.names[i] for i in trace.device.tolist()]}
+    for name, column in trace.values.items():
+        table[name] = [None if math.isnan(value) else value for value in column.tolist()]
+    if path.suffix == ".parquet":
+        arrow, parquet = _arrow()
+        parquet.write_table(arrow.table(table), partial)
+    else:
+        with partial.open("w", newline="") as file:
+            writer = csv.writer(file)
+            writer.writerow(table)
+            writer.writerows(zip(*table.values(), strict=True))
+    os.replace(partial, path)
+
+
+def on_slots(trace: Trace, slot_s: float, stretch: float = 1.0) -> SlotTrace:
+    """The trace on a grid of slots, each with the last value measured before its end; ``lost`` if any of its rows was.
+
+    Args:
+        trace: rows.
+        slot_s: seconds per slot.
+        stretch: factor on the time axis; 2 plays the trace at half its speed.
+
+    Returns:
+        As many slots as the trace lasts.
+    """
+    if not slot_s > 0 or not stretch > 0:
+        raise ValueError(f"slot_s {slot_s:g} and stretch {stretch:g} must be positive")
+    slot = (trace.time_s * stretch / slot_s + 1e-9).floor().to(torch.int64)
+    count = int(slot.max()) + 1
+    place = trace.device * count + slot
+    size = (len(trace.names), count)
+    rows = place.bincount(minlength=size[0] * size[1]).view(size)
+    values = {}
+    for name, column in trace.values.items():
+        measured = ~column.isnan()
+        last = torch.full((size[0] * size[1],), -1, dtype=torch.int64)
+        last.scatter_reduce_(0, place[measured], measured.nonzero().flatten(), "amax")
+        if name == "lost":
+            any_lost = torch.zeros(size[0] * size[1], dtype=torch.float64)
+            any_lost.scatter_reduce_(0, place[measured], column[measured], "amax")
+            values[name] = any_lost.view(size).masked_fill(last.view(size) < 0, math.nan)
+            continue
+        held = last.view(size).cummax(-1).values
+        values[name] = torch.where(held < 0, math.nan, column[held.clamp(min=0)])
+    return SlotTrace(values, rows)
+
+
+def lookup(grid: SlotTrace, column: str, device: Tensor, slot: Tensor) -> Tensor:
+    """Value of a column for devices and slots (int64, broadcast), float64.
+
+    After its last slot the trace is played from the start again; more devices than it has take the same ones in turn.
+    """
+    if column not in grid.values:
+        raise ValueError(f"the trace has no {column}: it has {', '.join(grid.values)}")
+    values = grid.values[column].to(device.device)
+    return values[device % values.shape[0], slot % values.shape[1]]
+
+
+def describe(trace: Trace, slot_s: float, stretch: float = 1.0, slots: int | None = None, gap_s: float = 1.0) -> str:
+    """One sentence: how long the trace is, its pace, how it is stretched and repeated, and where nothing was measured.
+
+    Args:
+        trace, slot_s, stretch: as of :func:`on_slots`.
+        slots: slots that an experiment plays; None leaves the repetitions out.
+        gap_s: pauses of the file that are longer than this are counted as gaps.
+    """
+    same = trace.device[1:] == trace.device[:-1]
+    pauses = trace.time_s.diff()[same]
+    lasts = trace.time_s.max().item()
+    count = on_slots(trace, slot_s, stretch).rows.shape[1]
+    parts = [
+        f"{len(trace.names)} device{'s' * (len(trace.names) > 1)}, {len(trace.time_s)} rows over {lasts:.1f} s",
+        f"a row every {1e3 * pauses.median():.0f} ms" if len(pauses) else "a single row each",
+        f"{count} slots of {1e3 * slot_s:g} ms" + (f", its time stretched {stretch:g} times" if stretch != 1 else ""),
+    ]
+    if slots is not None:
+        parts.append(f"played {slots / count:.1f} times" if slots > count else f"of which {slots} are played")
+    gaps = pauses[pauses > gap_s]
+    longest = f", the longest of {gaps.max():.1f} s" if len(gaps) else ""
+    parts.append(f"{len(gaps)} gaps of more than {gap_s:g} s{longest}, in which the last value is held")
+    if "lost" in trace.values:
+        parts.append(f"{100 * trace.values['lost'].nanmean():.1f} % of the packets lost")
+    return "; ".join(parts) + "."
+
+
+def _text(path: Path, separator: str | None) -> dict[str, list[str]]:
+    with path.open(newline="") as file:
+        rows = [line.split() for line in file] if separator is None else list(csv.reader(file, delimiter=separator))
+    rows = [[cell.strip() for cell in row] for row in rows if any(cell.strip() for cell in row)]
+    if not rows:
+        raise ValueError(f"{path} is empty")
+    names = rows[0]
+    for number, row in enumerate(rows[1:], 1):
+        if len(row) != len(names):
+            raise ValueError(f"{path}: row {number} has {len(row)} cells under {len(names)} names")
+    return dict(zip(names, map(list, zip(*rows[1:], strict=True)), strict=True)) if rows[1:] else {n: [] for n in names}
+
+
+def _numbers(path: Path, name: str, table: Mapping[str, list]) -> Tensor:
+    def number(row: int, cell: object) -> float:
+        try:
+            return math.nan if cell is None or cell == "" else float(cell)
+        except ValueError:
+            raise ValueError(f"{path}: row {row}, column {name!r} is no number: {cell!r}") from None
+
+    return torch.tensor([number(row, cell) for row, cell in enumerate(table[name], 1)], dtype=torch.float64)
+
+
+def _parquet(path: Path) -> dict[str, list]:
+    return _arrow()[1].read_table(path).to_pydict()
+
+
+def _arrow():
+    try:
+        import pyarrow
+        import pyarrow.parquet
+    except ImportError:
+        raise ImportError("Parquet traces need pyarrow: pip install 'tsjepa[data]', or use CSV") from None
+    return pyarrow, pyarrow.parquet
