@@ -5,21 +5,18 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from tsjepa.data.readers.episode import Episode, Skipped, ranges
+from tsjepa.data.readers.lerobot_files import LeRobotFiles
 from tsjepa.support.foreign import reason
 from tsjepa.support.tables import read_json_lines
-
-if TYPE_CHECKING:
-    from tsjepa.data.readers.lerobot import LeRobot
 
 EPISODE_FILE = re.compile(r"episode_(\d+)$")
 
 
-def list_episodes(recording: LeRobot) -> list[tuple[str, Callable[[], Episode] | Skipped]]:
+def list_episodes(recording: LeRobotFiles) -> list[tuple[str, Callable[[], Episode] | Skipped]]:
     """Episodes by the files that are there; those that only the metadata know come last, as one entry."""
     rows = {_number(file): file for file in recording.data_files if _number(file) is not None}
     videos = {_number(file): file for file in recording.video_files if recording.camera in file.parts}
@@ -51,7 +48,7 @@ def _count(value: object) -> int:
     return value if isinstance(value, int) and 0 <= value <= 1_000_000 else 0
 
 
-def _lengths(recording: LeRobot) -> dict[int, int | None]:
+def _lengths(recording: LeRobotFiles) -> dict[int, int | None]:
     path = recording.path / "meta" / "episodes.jsonl"
     if not path.is_file():
         recording.notes.append("meta/episodes.jsonl is missing; the episodes are those of the files.")
@@ -64,7 +61,7 @@ def _lengths(recording: LeRobot) -> dict[int, int | None]:
     return {row["episode_index"]: row.get("length") for row in rows if isinstance(row.get("episode_index"), int)}
 
 
-def _compare(recording: LeRobot, rows: dict, videos: dict, lengths: dict) -> None:
+def _compare(recording: LeRobotFiles, rows: dict, videos: dict, lengths: dict) -> None:
     """Notes where the metadata and the files disagree."""
     info, notes = recording.info, recording.notes
     for key, there in (("total_episodes", len(rows)), ("total_videos", len(recording.video_files))):
@@ -83,7 +80,7 @@ def _compare(recording: LeRobot, rows: dict, videos: dict, lengths: dict) -> Non
             )
 
 
-def _resolve(recording: LeRobot, key: str, number: int, extra: dict) -> Path | None:
+def _resolve(recording: LeRobotFiles, key: str, number: int, extra: dict) -> Path | None:
     size = _count(recording.info.get("chunks_size")) or 1000
     try:
         words = {"episode_chunk": number // size, "episode_index": number, **extra}
@@ -92,7 +89,7 @@ def _resolve(recording: LeRobot, key: str, number: int, extra: dict) -> Path | N
         return None
 
 
-def _read(recording: LeRobot, number: int, file: Path, videos: dict[int, Path], lengths: dict) -> Episode:
+def _read(recording: LeRobotFiles, number: int, file: Path, videos: dict[int, Path], lengths: dict) -> Episode:
     table = recording.read_rows(file)
     count = len(next(iter(table.values())))
     episode = recording.make(

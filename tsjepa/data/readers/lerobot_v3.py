@@ -4,21 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from tsjepa.data.readers.episode import Episode, Skipped
+from tsjepa.data.readers.lerobot_files import LeRobotFiles
 from tsjepa.data.readers.pictures import natural
 from tsjepa.data.readers.video import video_index
 from tsjepa.support.foreign import optional
 from tsjepa.support.tables import Table, parquet_rows, read_table
 
-if TYPE_CHECKING:
-    from tsjepa.data.readers.lerobot import LeRobot
 
-
-def list_episodes(recording: LeRobot) -> list[tuple[str, Callable[[], Episode] | Skipped]]:
+def list_episodes(recording: LeRobotFiles) -> list[tuple[str, Callable[[], Episode] | Skipped]]:
     """Episodes as meta/episodes lists them, their rows found by the rows' own episode_index."""
     entries = _entries(recording)
     tables: dict[Path, Table] = {}
@@ -43,7 +40,7 @@ def list_episodes(recording: LeRobot) -> list[tuple[str, Callable[[], Episode] |
     ]
 
 
-def _entries(recording: LeRobot) -> dict[int, dict]:
+def _entries(recording: LeRobotFiles) -> dict[int, dict]:
     """Rows of meta/episodes by episode, the statistics left out.
 
     Raises:
@@ -68,7 +65,7 @@ def _entries(recording: LeRobot) -> dict[int, dict]:
     return entries
 
 
-def _file(recording: LeRobot, entry: dict, key: str, prefix: str, **words: str) -> Path | None:
+def _file(recording: LeRobotFiles, entry: dict, key: str, prefix: str, **words: str) -> Path | None:
     try:
         chunk, index = int(entry[f"{prefix}/chunk_index"]), int(entry[f"{prefix}/file_index"])
         return recording.path / recording.info[key].format(chunk_index=chunk, file_index=index, **words)
@@ -76,7 +73,7 @@ def _file(recording: LeRobot, entry: dict, key: str, prefix: str, **words: str) 
         return None
 
 
-def _video(recording: LeRobot, entry: dict) -> Path | None:
+def _video(recording: LeRobotFiles, entry: dict) -> Path | None:
     camera = recording.camera
     file = _file(recording, entry, "video_path", f"videos/{camera}", video_key=camera)
     files = [other for other in recording.video_files if camera in other.parts]
@@ -85,7 +82,7 @@ def _video(recording: LeRobot, entry: dict) -> Path | None:
     return files[0] if len(files) == 1 else None
 
 
-def _start(recording: LeRobot, entries: dict[int, dict], video: Path, number: int) -> int:
+def _start(recording: LeRobotFiles, entries: dict[int, dict], video: Path, number: int) -> int:
     """First frame of an episode in its video.
 
     Frames are counted, where a video holds as many as its episodes have rows: the stamps of the metadata are sums of
@@ -110,7 +107,7 @@ def _start(recording: LeRobot, entries: dict[int, dict], video: Path, number: in
     return start
 
 
-def _read(recording: LeRobot, entries: dict, rows_of: Callable, number: int) -> Episode:
+def _read(recording: LeRobotFiles, entries: dict, rows_of: Callable, number: int) -> Episode:
     entry = entries[number]
     claimed = _file(recording, entry, "data_path", "data")
     file, table, rows = rows_of(number, claimed)

@@ -1,0 +1,209 @@
+"""The files of a LeRobot data set of any version."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+
+from tsjepa.data.readers.episode import Episode, Frames, Skipped, Streams, attempt
+from tsjepa.data.readers.names import flat_names, units_of
+from tsjepa.data.readers.pictures import CodedPictures, natural
+from tsjepa.data.readers.video import Video
+from tsjepa.support.foreign import optional, refuse_pointers
+from tsjepa.support.tables import parquet_rows, read_json, read_table
+
+PREFIX = "observation.images."
+
+
+class LeRobotFiles:
+    """The part of a reader of LeRobot data sets that all their versions share; a subclass sets ``_episodes``."""
+
+    def __init__(self, path: Path, streams: Streams) -> None:
+        self.path, self.streams, self.notes = path, streams, []
+        files = [file for file in sorted(path.rglob("*"), key=natural) if file.is_file()]
+        self.data_files = [file for file in files if file.suffix == ".parquet" and (path / "data") in file.parents]
+        refuse_pointers(self.data_files)
+        self.info = read_json(path / "meta" / "info.json")
+        self.video_files = [file for file in files if file.suffix == ".mp4"]
+        version = str(self.info.get("codebase_version") or "")
+        self.features = self.info.get("features")
+        self.features = self.features if isinstance(self.features, dict) else {}
+        if not self.data_files:
+            lack = [word for word, there in (("version", version), ("features", self.features)) if not there]
+            raise ValueError(
+                f"{path} looks like a LeRobot data set but has no rows (no Parquet file under data/)"
+                + (f", and its info.json names no {' and no '.join(lack)}" if lack else "")
+                + "; without commands there is nothing to import."
+            )
+        self.columns = self._columns()
+        layout = "v3.0" if (path / "meta" / "episodes").is_dir() else "v2.1"
+        known = version.startswith(("v2.", "v3."))
+        if not known:
+            self.notes.append(
+                f"info.json names the version {version or 'nothing'}; the files are laid out as {layout}."
+            )
+        elif version[:2] != layout[:2]:
+            self.notes.append(f"info.json says {version}, but the files are laid out as {layout}.")
+        self.has_v3_layout = layout == "v3.0"
+        self.format = f"LeRobot {version if known and version[:2] == layout[:2] else layout}"
+        rate = self.info.get("fps")
+        self.rate_hz = float(rate) if isinstance(rate, (int, float)) and 0 < rate < 1e6 else None
+        if self.rate_hz is None:
+            self.notes.append(f"info.json claims {rate!r} frames a second.")
+        self.cameras = self._cameras()
+        self.camera = self._camera()
+        taken = {*self.wanted_columns(), self.camera}
+        self.others = [name for name in dict.fromkeys([*self.columns, *self.cameras]) if name not in taken]
+
+    def _columns(self) -> list[str]:
+        """Columns of the first file that can be read."""
+        failed = None
+        for file in self.data_files:
+            try:
+                parquet_rows(file)
+                return optional("pyarrow.parquet").read_schema(file).names
+            except ValueError as error:
+                failed = failed or error
+        raise failed
+
+    def _cameras(self) -> list[str]:
+        there = dict.fromkeys(
+            part for file in self.video_files for part in file.relative_to(self.path).parts if part in self._declared()
+        )
+        for file in self.video_files:  # a camera that only the folders know
+            there.update(dict.fromkeys(part for part in file.relative_to(self.path).parts if part.startswith(PREFIX)))
+        there.update(dict.fromkeys(name for name in self.columns if name in self._declared()))
+        for name, feature in self._declared().items():
+            if name not in there:
+                shape = feature.get("shape")
+                self.notes.append(f"The camera {name} ({shape}) is declared and has no file.")
+        return list(there)
+
+    def _declared(self) -> dict[str, dict]:
+        return {
+            name: feature
+            for name, feature in self.features.items()
+            if isinstance(feature, dict) and feature.get("dtype") in ("video", "image")
+        }
+
+    def _camera(self) -> str:
+        wanted = self.streams.camera
+        if not self.cameras:
+            raise ValueError(f"{self.path} has no pictures: no MP4 under videos/ and no column of images.")
+        if wanted is None:
+            if len(self.cameras) > 1:
+                self.notes.append(f"It has the cameras {', '.join(self.cameras)}; the first is taken.")
+            return self.cameras[0]
+        for name in (wanted, PREFIX + wanted):
+            if name in self.cameras:
+                return name
+        raise ValueError(f"There is no camera {wanted}; the files have {', '.join(self.cameras)}.")
+
+    def episodes(self) -> Iterator[Episode | Skipped]:
+        """The episodes that have rows and pictures; the others by name, with the reason."""
+        for name, read in self._episodes:
+            yield read if isinstance(read, Skipped) else attempt(name, read)
+
+    def make(self, name: str, table: dict[str, np.ndarray], frames: Callable[[], Frames]) -> Episode:
+        """An episode from its rows and its pictures."""
+        names = {}
+        values = {}
+        for kind, default in (("action", ["action"]), ("state", ["observation.state"])):
+            wanted = getattr(self.streams, kind) or [key for key in default if key in table]
+            missing = [key for key in wanted if key not in table]
+            if missing:
+                raise ValueError(f"its rows have no column {', '.join(missing)}; they have {', '.join(table)}.")
+            names[kind], values[kind] = self._values(wanted, table)
+        if not names["action"]:
+            raise ValueError(f"its rows have no column action; they have {', '.join(table)}.")
+        times = table.get(self.streams.time or "timestamp")
+        episode = Episode(
+            name=name,
+            frames=frames(),
+            action=values["action"],
+            action_names=names["action"],
+            action_units=units_of(names["action"]),
+            state=values["state"] if names["state"] else None,
+            state_names=names["state"],
+            state_units=units_of(names["state"]),
+            times=None if times is None else times.astype(np.float64),
+            paired=True,
+        )
+        self._compare(episode)
+        return episode
+
+    def _values(self, keys: list[str], table: dict[str, np.ndarray]) -> tuple[list[str], np.ndarray]:
+        names, parts = [], []
+        for key in keys:
+            if table[key].dtype == object:
+                raise ValueError(f"its column {key} holds no numbers.")
+            part = table[key].astype(np.float32)
+            part = part[:, None] if part.ndim == 1 else part
+            feature = self.features.get(key)
+            feature = feature if isinstance(feature, dict) else {}
+            shape = feature.get("shape")
+            if shape and list(shape) != [part.shape[1]]:
+                self.note(f"info.json gives {key} the shape {shape}, the rows have {part.shape[1]} numbers.")
+            names += flat_names(feature.get("names"), part.shape[1], key)
+            parts.append(part)
+        return names, np.concatenate(parts, axis=1) if parts else np.zeros((0, 0), np.float32)
+
+    def _compare(self, episode: Episode) -> None:
+        frames, shape = episode.frames, (self.features.get(self.camera) or {}).get("shape")
+        if shape and sorted(shape[:3]) != sorted([frames.height, frames.width, 3]):
+            self.note(f"info.json gives {self.camera} the shape {shape}, the pictures are "
+                       f"{frames.height} x {frames.width}.")  # fmt: skip
+        if abs(frames.count - len(episode.action)) > 1:
+            episode.notes.append(f"{frames.count} pictures stand beside {len(episode.action)} rows.")
+
+    def note(self, text: str) -> None:
+        """Says something about the whole recording, once."""
+        if text not in self.notes:
+            self.notes.append(text)
+
+    def pictures(self, file: Path | None, rows_file: Path, rows: np.ndarray, first: int = 0) -> Frames:
+        """Pictures of one episode: of the video from frame ``first`` on, or of the rows' own column."""
+        if file is not None:
+            return Video(file, first, len(rows) if first or self.has_v3_layout else None)
+        return row_pictures(rows_file, self.camera, rows)
+
+    def wanted_columns(self) -> list[str]:
+        """Columns that an episode needs, without the pictures."""
+        streams = self.streams
+        keys = [*(streams.action or ["action"]), *(streams.state or ["observation.state"])]
+        keys += [streams.time or "timestamp", "episode_index", "frame_index", "index"]
+        return [key for key in dict.fromkeys(keys) if key in self.columns]
+
+    def read_rows(self, file: Path) -> dict[str, np.ndarray]:
+        """The wanted columns of a Parquet file.
+
+        Raises:
+            ValueError: it holds no rows or cannot be read.
+        """
+        there = optional("pyarrow.parquet").read_schema(file).names if parquet_rows(file) else []
+        if not there:
+            raise ValueError(f"{file.name} holds no rows.")
+        return read_table(file, [key for key in self.wanted_columns() if key in there])
+
+
+def row_pictures(file: Path, column: str, rows: np.ndarray) -> CodedPictures:
+    """Pictures that stand in a Parquet column as coded bytes, one row group in memory at a time."""
+    parquet = optional("pyarrow.parquet").ParquetFile(file)
+    ends = np.cumsum([parquet.metadata.row_group(group).num_rows for group in range(parquet.num_row_groups)])
+    loaded: dict[int, list] = {}
+
+    def fetch(index: int) -> tuple[bytes, str]:
+        row = int(rows[index])
+        group = int(np.searchsorted(ends, row, side="right"))
+        if group not in loaded:
+            loaded.clear()
+            loaded[group] = parquet.read_row_group(group, columns=[column])[column].to_pylist()
+        cell = loaded[group][row - (int(ends[group - 1]) if group else 0)]
+        data = cell.get("bytes") if isinstance(cell, dict) else cell
+        if not isinstance(data, bytes):
+            raise ValueError(f"row {row} of {file.name} has no picture in {column}.")
+        return data, f"row {row} of {file.name}"
+
+    return CodedPictures(len(rows), fetch, "coded in the rows")
