@@ -12,10 +12,10 @@ import time
 
 import torch
 from report import publish
-from tsjepa.envs.update_codec import fitted_codec
-from tsjepa.evaluation.fleet import LINEAR, build_fleet
 
-from tsjepa.envs.settings import Plants, Radio
+from tsjepa.envs.make import LINEAR, make_env, make_policy
+from tsjepa.envs.settings import Radio
+from tsjepa.plants import CartPole
 
 LOOKS = 100  # at the memory
 
@@ -29,11 +29,12 @@ def resident_bytes() -> int:
 @torch.no_grad()
 def grow(devices: int, slots: int) -> dict:
     """Steps a fleet and watches the memory."""
-    plants, radio = Plants(slots=100), Radio(resource_blocks=max(1, devices // 4))
-    env, policy = build_fleet(devices, "channel_aware", 0, plants, radio, fitted_codec(radio.codec, None), LINEAR)
+    plant, radio = CartPole(), Radio(resource_blocks=max(1, devices // 4))
+    env = make_env(plant, devices, "channel_aware", radio, LINEAR, slots=100, terminate_on_failure=True)
+    policy = make_policy(plant, LINEAR, radio)
     now, sizes, episodes, began = env.reset(), [], 0, time.monotonic()
     for slot in range(1, slots + 1):
-        stepped, now = env.step_and_maybe_reset(now.set("action", policy(now)))
+        stepped, now = env.step_and_maybe_reset(policy(now))
         episodes += int(stepped["next", "done"].sum())
         if slot % max(1, slots // LOOKS) == 0:
             sizes.append(resident_bytes())
