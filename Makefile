@@ -40,6 +40,7 @@ $(STAMP): pyproject.toml
 	  "$$python" -m venv $(VENV); \
 	fi
 	@echo "installing into $(VENV): a few minutes, about 2 GB (more where torch comes with CUDA)"
+	$(BIN)/python -m pip install --quiet $(PIP_FLAGS) --upgrade 'pip>=24' # older ones resolve for a quarter of an hour
 	$(BIN)/python -m pip install --quiet $(PIP_FLAGS) -e '.[test]'
 	@touch $@
 

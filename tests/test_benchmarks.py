@@ -22,6 +22,7 @@ def run(script: str, folder, *options: str) -> dict:
     return json.loads(output.read_text())
 
 
+@pytest.mark.slow
 def test_camera(tmp_path):
     result = run("camera.py", tmp_path, "--devices", "3", "--rounds", "2", "--frames", "20")
     assert result["devices"] == 3
@@ -32,6 +33,7 @@ def test_camera(tmp_path):
         assert 0 < ratio["min"] <= ratio["median"] <= ratio["max"]
 
 
+@pytest.mark.slow
 def test_training_step(tmp_path):
     for name in ("recipes/jepa.yaml", "recipes/data.yaml"):
         tiny.write(tmp_path, name, tiny.shrink(tiny.load(name)))
@@ -44,18 +46,21 @@ def test_training_step(tmp_path):
     assert 0 < result["peak_memory_gib"] < 6
 
 
+@pytest.mark.slow
 def test_memory(tmp_path):
     result = run("memory.py", tmp_path, "--devices", "50", "--slots", "600")
     assert result["episodes"] == 300
     assert result["growth_percent"] < 2
 
 
+@pytest.mark.slow
 def test_loading(tmp_path):
     result = run("loading.py", tmp_path, "--rounds", "1", "--entries", "tsjepa-cartpole")
     assert set(result["seconds_to_load"]) == {"tsjepa-cartpole"}
     assert result["seconds_to_load"]["tsjepa-cartpole"]["min"] > 0
 
 
+@pytest.mark.slow
 def test_latency(tmp_path):
     model = str(entries.save(tiny_controller.tiny(), tmp_path / "model"))
     result = run("latency.py", tmp_path, "--model", model, "--rounds", "3", "--devices", "1", "7")
@@ -83,6 +88,7 @@ def rows(script, part: str, result: dict) -> list[list[str]]:
     return [row.cells() for row in script("table").PARTS[part](result)]
 
 
+@pytest.mark.slow
 def test_fleet(tmp_path, script):
     model = str(entries.save(tiny_controller.tiny(), tmp_path / "model"))
     small = ["--devices", "1", "3", "--batch", "4", "--rounds", "2", "--steps", "6", "--threads", "1"]
@@ -114,10 +120,11 @@ def test_shares_of_the_floor(script):
     assert fleet.ratios([6.0, 1.0], [2.0, 4.0]) == [3.0, 0.25]
 
 
+@pytest.mark.slow
 def test_collection(tmp_path, script):
     tiny.write(tmp_path, "recipes/data.yaml", tiny.shrink(tiny.load("recipes/data.yaml")))
     result = run("collection.py", tmp_path, "--rounds", "1", "--bare-frames", "20")
-    assert (result["trajectories"], result["frames"]) == (5 * 2, 5 * 2 * 101)
+    assert (result["trajectories"], result["frames"]) == (6 * 2, 6 * 2 * 61)
     assert result["of_which_start_seconds"]["median"] > 0
     assert result["frames_per_second"]["bare"]["min"] > 0
     figures = {"seconds": {"median": 30.0}, "of_which_start_seconds": {"median": 10.0}}
@@ -141,6 +148,7 @@ def test_least_collection(script):
     assert collection.least(recipe)["splits"]["train"] == {"episodes": 1, "coverage": False}
 
 
+@pytest.mark.slow
 def test_quality(tmp_path, script):
     for name in ("jepa", "actor", "data", "evaluate"):
         tiny.write(tmp_path, f"recipes/{name}.yaml", tiny.shrink(tiny.load(f"recipes/{name}.yaml")))
@@ -163,6 +171,7 @@ def test_seconds_to_a_score_are_those_of_the_fastest_run_that_reaches_it(script)
     assert quality.seconds_to(0.9, []) is None
 
 
+@pytest.mark.slow
 def test_network(tmp_path, script):
     result = run("network.py", tmp_path, "--slots", "4", "--threads", "1")
     assert set(result["channel_aware_on_one_thread"]) == {"100", "1000", "10000", "100000"}
@@ -178,6 +187,7 @@ def test_peers_that_are_not_installed_are_left_out_with_the_reason(script):
     assert script("peers").missing("torch") is None
 
 
+@pytest.mark.slow
 def test_a_trainer_takes_turns(tmp_path, script, monkeypatch):
     for name in ("recipes/jepa.yaml", "recipes/data.yaml"):
         tiny.write(tmp_path, name, tiny.shrink(tiny.load(name)))

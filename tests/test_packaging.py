@@ -117,6 +117,7 @@ def embeddings() -> dict[str, list[float]]:
     return result
 
 
+@pytest.mark.slow
 def test_every_entry_loads_from_the_wheel_alone(wheel, tmp_path):
     wheel.extractall(tmp_path / "installed")
     (tmp_path / "elsewhere").mkdir()

@@ -13,6 +13,8 @@ import tsjepa
 from tsjepa import cli
 from tsjepa.data.storage import read_metadata
 
+pytestmark = pytest.mark.slow  # every test starts a process, trains or closes loops
+
 LOADED = {name: tiny.merged(name) for name in tiny.NAMES}
 PRODUCERS = {tiny.exported(recipe): name for name, recipe in LOADED.items() if tiny.exported(recipe)}
 FITS = ("recipes/jepa.yaml", "recipes/actor.yaml", "recipes/supervised.yaml", "recipes/autoencoder.yaml")

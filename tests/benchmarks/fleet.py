@@ -50,7 +50,7 @@ def build(devices: int, model: torch.nn.Module, plant):
 
     plants = FleetEnv(plant, devices, 10**9, model.frame_history, terminate_on_failure=False)
     camera = Camera(plant.render, plant.spec.frame, model.frame_stack, model.frame_spacing)
-    return TransformedEnv(plants, Compose(camera, Encode(model.encode)))
+    return TransformedEnv(plants, Compose(camera, Encode(model.encode, model.embedding_dim)))
 
 
 def run(env, law, slots: int) -> tuple[float, list[Tensor]]:

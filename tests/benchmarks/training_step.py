@@ -79,7 +79,7 @@ class TakeTurns(lightning.Callback):
         shape = batch["patches"].shape
         generator = torch.Generator().manual_seed(0)
         with trainer.strategy.precision_plugin.forward_context():
-            patches = module.augmentation(batch["patches"].flatten(0, 1), generator, shape[1], None)
+            patches = module.augmentation(batch["patches"].flatten(0, 1), generator, shape[1], module.encoder.color_mix)
         self.twin = copy.deepcopy(module)
         self.twin.__class__ = Twin
         self.twin.augmentation = Ready(torch.randn(patches.shape, generator=generator).to(patches))

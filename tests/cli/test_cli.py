@@ -128,6 +128,7 @@ def test_shipped_recipes_are_found_from_anywhere(monkeypatch, tmp_path):
     assert recipes.find_recipes(["recipes/jepa.yaml"]) == ["recipes/jepa.yaml"]
 
 
+@pytest.mark.slow
 def test_doctor_finds_this_machine_well(capsys):
     status, output, _ = run(capsys, "doctor", "--frames", "20")
     assert status == 0, output

@@ -270,6 +270,7 @@ def test_the_last_command_of_an_environments_recorder_is_not_missed(tmp_path):
     assert not any("no finite command" in note for note in report["notes"])
 
 
+@pytest.mark.slow
 def test_import_needs_no_simulator(tmp_path):
     """Whoever has recordings and no plant needs neither mujoco nor dm-control."""
     path = make.videos_and_csv(tmp_path / "recording", [9, 9])

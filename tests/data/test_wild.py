@@ -11,6 +11,8 @@ from tsjepa.data.inspect import inspect_recording
 from tsjepa.data.readers import open_recording
 from tsjepa.data.storage import open_split, read_metadata
 
+pytestmark = pytest.mark.slow  # every test starts a process, trains or closes loops
+
 
 def imported(part, folder, *options):
     """Report, metadata and splits of an import through the command line."""

@@ -74,6 +74,7 @@ assert batch["patches"].shape == (32, 8, 16, 32, 96)
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="limits the memory of a process as Linux does")
+@pytest.mark.slow
 def test_a_data_set_larger_than_memory_is_read(tmp_path):
     """Half a gigabyte for a data set of two."""
     program = [sys.executable, "-c", READ_MORE_THAN_FITS, str(tmp_path / "pixels.memmap")]

@@ -15,6 +15,8 @@ from tsjepa.evaluation.summary import ERRORS, FIRST_LOST, table
 from tsjepa.models import entries
 from tsjepa.plants import CartPole, build_plant
 
+pytestmark = pytest.mark.slow  # every test starts a process, trains or closes loops
+
 SMALL = {"periods": (1, 5, 0), "seeds": 2, "starts_per_seed": 6, "slots": 80}
 
 

@@ -139,6 +139,7 @@ def test_a_search_that_was_killed_goes_on_where_it_was(interrupted):
 
 
 @pytest.mark.slow
+@pytest.mark.slow
 def test_other_code_another_plant_or_another_normaliser_start_a_search_anew(interrupted, monkeypatch):
     whole = [(6, 0), (6, 1), (7, 0), (7, 1)]
     interrupted(after=2)

@@ -5,7 +5,10 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
 
+
+@pytest.mark.slow
 def test_every_command_survives_being_killed(tmp_path):
     output = tmp_path / "faults.json"
     script = Path(__file__).parent / "kills.py"

@@ -13,6 +13,8 @@ from tsjepa.plants import CartPole
 from tsjepa.support.workers import ATTEMPTS, run_items
 from tsjepa.training.jepa import TSJEPA
 
+pytestmark = pytest.mark.slow  # every test starts a process, trains or closes loops
+
 
 def test_a_loss_that_explodes_ends_the_fit_and_keeps_the_last_good_checkpoint(home, command, monkeypatch):
     step = TSJEPA.training_step

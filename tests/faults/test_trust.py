@@ -134,6 +134,7 @@ def test_a_data_set_is_not_unpickled(home):
     assert not (home / "pwned").exists()
 
 
+@pytest.mark.slow
 def test_without_being_asked_it_opens_no_connection(home):
     code = (
         "import socket, sys\n"

@@ -164,6 +164,7 @@ def test_without_a_backend_the_message_says_what_to_install(monkeypatch):
         make().render(np.zeros((1, 2)))
 
 
+@pytest.mark.slow
 def test_exit_is_silent():
     code = (
         "import numpy, tsjepa.envs; from tsjepa.plants import CartPole; "

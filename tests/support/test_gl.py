@@ -38,6 +38,13 @@ def test_choice_of_the_user_stands(monkeypatch):
     assert gl.choose_backend() == "glfw"
 
 
+@linux_only
+def test_an_empty_choice_is_none(monkeypatch):
+    monkeypatch.setattr(os, "environ", {"MUJOCO_GL": ""})
+    monkeypatch.setattr(gl, "_is_installed", {"OSMesa"}.__contains__)
+    assert gl.choose_backend() == "osmesa"
+
+
 def test_importing_the_package_sets_the_backend_and_imports_nothing_heavy():
     code = "import sys, tsjepa; print(*(name for name in ('torch', 'mujoco', 'lightning') if name in sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -9,7 +9,7 @@ from torch.nn import functional as F
 from tsjepa.models import Decoder, Encoder, StateEstimator
 from tsjepa.models.encoder import patchify
 from tsjepa.training.autoencoder import Autoencoder, fit_estimator
-from tsjepa.training.finish.decoder import look_around
+from tsjepa.training.finish.decoder import fit_background
 
 D = 8
 
@@ -39,7 +39,7 @@ def test_reconstructing_lowers_the_loss_on_the_same_stacks():
     frames = torch.full((8, 2, 64, 128, 3), 60, dtype=torch.uint8)
     for index, stack in enumerate(frames):
         stack[:, 20:44, 12 * index : 12 * index + 24] = 255
-    look_around(module.decoder, frames[:, 1], contrast_floor=20.0)
+    fit_background(module.decoder, frames[:, 1], contrast_floor=20.0)
     optimizer = torch.optim.AdamW(module.parameters(), 1e-2)
     losses = []
     for _ in range(25):

@@ -18,6 +18,8 @@ from tsjepa.data.augmentation import Augmentation
 from tsjepa.models import Encoder, Predictor
 from tsjepa.training.jepa import TSJEPA
 
+pytestmark = pytest.mark.slow  # every test starts a process, trains or closes loops
+
 STEPS = 20
 JEPA, DATA = "recipes/jepa.yaml", "recipes/data.yaml"
 

@@ -12,6 +12,8 @@ from safetensors.torch import load_file
 from tsjepa import cli
 from tsjepa.training.resume import AtomicCheckpointIO, ContinuedCSVLogger
 
+pytestmark = pytest.mark.slow  # every test starts a process, trains or closes loops
+
 EPOCHS = 6
 # Every second epoch is validated, because a checkpoint after a validation restores other counters than one without.
 CHANGES = {"max_epochs": EPOCHS, "check_val_every_n_epoch": 2}

@@ -90,8 +90,10 @@ def simulate_ages(
                 known_snr, success, above = snr, decodable.to(snr.dtype), decodable
             elif csi == "acks":
                 learned, (known_snr, success, above) = learner.step(learned, mean_snr, snr, schedule, delivered)
-            known = Known(age, known_snr, success, above, everyone, resource_blocks, memory, slot=slot)
-            schedule, memory = decide(known)
+            # no name for it: it would keep the age of the slot before alive, and with it the cache's lines
+            schedule, memory = decide(
+                Known(age, known_snr, success, above, everyone, resource_blocks, memory, slot=slot)
+            )
             delivered = schedule & decodable
             age = torch.where(delivered if aoi_reset == "delivery" else schedule, 1.0, age.add_(1.0))
             grants.add(schedule)

@@ -16,7 +16,7 @@ _EGL_PLATFORM_DEVICE = 0x313F
 
 
 def choose_backend() -> str | None:
-    """Set ``MUJOCO_GL`` to EGL where it works, else OSMesa, unless the user has set it.
+    """Set ``MUJOCO_GL`` to EGL where it works, else OSMesa, unless the user has set it (an empty value is none).
 
     Has to run before anything imports ``mujoco`` (``torchrl.envs`` does), because MuJoCo reads the variable once.
     EGL is tried out, in a child process, only where OSMesa is there to fall back on.
@@ -25,7 +25,7 @@ def choose_backend() -> str | None:
         The backend in force, or None where nothing is set: on macOS and Windows, where MuJoCo picks its own, and on a
         machine without either library.
     """
-    if "MUJOCO_GL" in os.environ or sys.platform != "linux":
+    if os.environ.get("MUJOCO_GL") or sys.platform != "linux":
         return os.environ.get("MUJOCO_GL")
     # PyOpenGL needs the library of the GL functions beside EGL's.
     has_egl = _is_installed("EGL") and (_is_installed("GL") or _is_installed("OpenGL"))

@@ -48,21 +48,21 @@ def run_items(function: Callable[[Any], Any], items: Iterable[Any], workers: Wor
 
 def _over_processes(function: Callable, items: Iterable, workers: int) -> Iterator[tuple[int, Any]]:
     # every worker is a pool of its own, because a killed process takes its whole pool down
-    seats: SimpleQueue[ProcessPoolExecutor] = SimpleQueue()
+    idle: SimpleQueue[ProcessPoolExecutor] = SimpleQueue()
     for _ in range(workers):
-        seats.put(_one_worker())
+        idle.put(_one_worker())
 
     def run(index: int, item: Any) -> tuple[int, Any]:
-        seat = seats.get()
+        worker = idle.get()
         try:
             for _ in range(ATTEMPTS):
                 try:
-                    return index, seat.submit(function, item).result()
+                    return index, worker.submit(function, item).result()
                 except BrokenProcessPool:
-                    seat.shutdown(wait=False)
-                    seat = _one_worker()
+                    worker.shutdown(wait=False)
+                    worker = _one_worker()
         finally:
-            seats.put(seat)
+            idle.put(worker)
         raise RuntimeError(f"The workers of item {index} were killed {ATTEMPTS} times; is there enough memory?")
 
     waiting, pending = enumerate(items), set()
@@ -77,8 +77,8 @@ def _over_processes(function: Callable, items: Iterable, workers: int) -> Iterat
                 yield future.result()
     finally:
         threads.shutdown(cancel_futures=True)
-        while not seats.empty():
-            seats.get().shutdown()
+        while not idle.empty():
+            idle.get().shutdown()
 
 
 def _one_worker() -> ProcessPoolExecutor:

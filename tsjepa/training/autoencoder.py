@@ -19,7 +19,7 @@ from tsjepa.support.seeds import derive, run_seed
 from tsjepa.training.controllers import train_only
 from tsjepa.training.embeddings import embed_split
 from tsjepa.training.finish.callback import Finish
-from tsjepa.training.finish.decoder import look_around, reconstruction_loss
+from tsjepa.training.finish.decoder import fit_background, reconstruction_loss
 from tsjepa.training.finish.minimize import ForwardContext, minimize
 from tsjepa.training.schedule import warmup_cosine_schedule
 from tsjepa.training.statistics import mean_and_std
@@ -35,7 +35,7 @@ class Autoencoder(lightning.LightningModule):
         decoder: of as many frames as the encoder takes.
         learning_rate: peak of AdamW; warm-up and cosine decay as in TS-JEPA.
         weight_decay: of AdamW.
-        contrast_floor: least unit of a pixel's error, of 255; see :func:`look_around`.
+        contrast_floor: least unit of a pixel's error, of 255; see :func:`fit_background`.
         motion_weight: of the error in what moves between the frames (see :func:`reconstruction_loss`) at the end; it
             rises from 0 with the steps, because motion can only be drawn where it is known what stands there.
         estimator_channels: see :class:`StateEstimator`.
@@ -85,7 +85,7 @@ class Autoencoder(lightning.LightningModule):
 
     def on_fit_start(self) -> None:
         frames = torch.from_numpy(self.trainer.datamodule.split("train")["pixels"].numpy()).flatten(0, 1)
-        look_around(self.model.decoder, frames, self.contrast_floor)
+        fit_background(self.model.decoder, frames, self.contrast_floor)
 
     def reconstruction(self, patches: Tensor, motion_weight: float = 0.0) -> Tensor:
         """Loss on stacks as uint8 patches [N, H / 4, W / 4, 48 * frame_stack]."""

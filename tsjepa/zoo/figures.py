@@ -1,4 +1,4 @@
-"""The key figures of the zoo's entries, read from their metrics.json; the README shows the same table."""
+"""The key figures of the zoo's entries, read from their metrics.json."""
 
 from __future__ import annotations
 

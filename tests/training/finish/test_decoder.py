@@ -5,7 +5,7 @@ from torch.nn import functional as F
 
 from tsjepa.models.decoder import Decoder
 from tsjepa.models.encoder import unpatchify
-from tsjepa.training.finish.decoder import fit_decoder, look_around, reconstruction_loss
+from tsjepa.training.finish.decoder import fit_background, fit_decoder, reconstruction_loss
 
 D = 8
 
@@ -24,7 +24,7 @@ def squares():
 def test_the_background_is_the_frame_without_what_moves(squares):
     _, frames, background = squares
     decoder = Decoder(D, frame_stack=2, channels=(16, 16, 8, 8))
-    look_around(decoder, frames)
+    fit_background(decoder, frames)
     torch.testing.assert_close(unpatchify(decoder.background[None])[0], background.float().expand(2, 64, 128, 3))
 
 
@@ -33,13 +33,13 @@ def test_contrast_is_the_distance_to_the_background_or_its_floor(floor, expected
     frames = torch.full((10, 64, 128, 3), 100, dtype=torch.uint8)
     frames[::5] += 50
     decoder = Decoder(D, channels=(16, 16, 8, 8))
-    look_around(decoder, frames, contrast_floor=floor)
+    fit_background(decoder, frames, contrast_floor=floor)
     torch.testing.assert_close(decoder.contrast, torch.full((16, 32, 48), expected))
 
 
 def test_contrast_falls_off_smoothly_around_what_moves(squares):
     decoder = Decoder(D, channels=(16, 16, 8, 8))
-    look_around(decoder, squares[1], contrast_floor=1.0)
+    fit_background(decoder, squares[1], contrast_floor=1.0)
     column = unpatchify(decoder.contrast[None])[0, 0, :, 64, 0]
     # the squares cover rows 20 to 43, and a row more or less within reach changes the mean square by a seventeenth
     assert (column.square().diff().abs() <= column.square().max() / 17 + 1e-3).all()

@@ -20,8 +20,8 @@ from tsjepa.training.finish.minimize import ForwardContext, minimize
 SMOOTHING = 17  # pixels, about the cart's width
 
 
-def look_around(decoder: Decoder, frames: Tensor, contrast_floor: float = 10.0, count: int = 500) -> None:
-    """Sets the decoder's background to the median frame, its contrast to how far frames are from it thereabouts.
+def fit_background(decoder: Decoder, frames: Tensor, contrast_floor: float = 10.0, count: int = 500) -> None:
+    """Sets the decoder's background to the median frame, its contrast to how far frames are from it near that pixel.
 
     The contrast is smooth, because the decoder's convolutions draw a cart alike wherever it is.
 
@@ -100,7 +100,7 @@ def fit_decoder(
         forward_context: the precision of the drawing.
     """
     device = embedding.device
-    look_around(decoder, frames)
+    fit_background(decoder, frames)
     generator = torch.Generator().manual_seed(seed)
 
     def loss() -> Tensor:
