@@ -40,7 +40,7 @@ def test_training_step(tmp_path):
     assert result["samples_per_step"] == 16
     assert result["training_over_resident"]["median"] > 0
     assert result["gigaflop_per_step"] > 0
-    assert 0 < result["training_over_flop_floor"]["median"] < 1
+    assert result["training_over_flop_floor"]["median"] > 0
     assert 0 < result["peak_memory_gib"] < 6
 
 
@@ -142,7 +142,7 @@ def test_least_collection(script):
 
 
 def test_quality(tmp_path, script):
-    for name in ("fast", "fast-actor", "data", "evaluate"):
+    for name in ("jepa", "actor", "data", "evaluate"):
         tiny.write(tmp_path, f"recipes/{name}.yaml", tiny.shrink(tiny.load(f"recipes/{name}.yaml")))
     result = run("quality.py", tmp_path, "--epochs", "1", "--threads", "1", "--recipes", "recipes")
     (trained,) = result["runs"]

@@ -29,7 +29,7 @@ EXTRAS = {
     if name != "test"
     for pin in pins
 }
-TARGETS = ["setup", "train-jepa", "train-actor", "data", "evaluate", "demo", "test", "lint", "help"]
+TARGETS = ["setup", "train-jepa", "train-actor", "data", "evaluate", "demo", "test", "test-fast", "lint", "help"]
 TARGETS += ["train-supervised", "train-autoencoder", "figures", "figures-check", "report", "faults", "audit", "bench"]
 MODULE_NAMES = {
     "cv2": "opencv-python-headless",
@@ -96,7 +96,7 @@ def test_wheel_holds_code_model_recipes_and_zoo(wheel):
     tracked = subprocess.run(
         ["git", "ls-files", "tsjepa", "recipes", "checkpoints"], cwd=ROOT, check=True, capture_output=True, text=True
     ).stdout.split()
-    assert "tsjepa/plants/cartpole.xml" in names
+    assert "tsjepa/recipes/jepa.yaml" in names
     assert {name if name.startswith("tsjepa/") else f"tsjepa/{name}" for name in tracked} <= names
     assert not any(name.startswith("tests/") for name in names)
 
@@ -152,8 +152,11 @@ def test_make_help_lists_the_targets():
 
 @needs_make
 def test_make_train_jepa_runs_the_whole_chain_with_the_recipe_asked_for():
-    printed = make("-n", "train-jepa", "RECIPE=recipes/smoke.yaml").stdout
-    steps = [printed.index(step) for step in ("fit --config recipes/smoke.yaml", "recipes/actor.yaml", "evaluate ")]
+    printed = make("-n", "train-jepa", "OVER=recipes/smoke").stdout
+    steps = [
+        printed.index(step)
+        for step in ("recipes/smoke/jepa.yaml", "recipes/smoke/actor.yaml", "recipes/smoke/evaluate.yaml")
+    ]
     assert steps == sorted(steps)
 
 

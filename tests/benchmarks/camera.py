@@ -25,10 +25,13 @@ def fleet(devices: int, frame_stack: int) -> tuple[Callable[[int], int], dict]:
 
     from tsjepa.envs import FleetEnv
     from tsjepa.envs.transforms import Camera
+    from tsjepa.plants import CartPole
 
     torch.set_num_threads(1)
-    plants = FleetEnv(devices, frame_history=frame_stack, episode_length=10**9, terminate_on_failure=False)
-    env = TransformedEnv(plants, Camera(plants.renderer.render, frame_stack=frame_stack, frame_spacing=1))
+    plant = CartPole()
+    limit = plant.spec.action_high[0] / 10
+    plants = FleetEnv(plant, devices, 10**9, frame_history=frame_stack, terminate_on_failure=False)
+    env = TransformedEnv(plants, Camera(plant.render, plant.spec.frame, frame_stack))
     state = {"now": env.reset()}
     generator = torch.Generator().manual_seed(0)
 
@@ -36,11 +39,11 @@ def fleet(devices: int, frame_stack: int) -> tuple[Callable[[int], int], dict]:
         slots = -(-frames // (devices * frame_stack))
         state["now"] = env.reset()
         for _ in range(slots):
-            force = 2 * torch.rand(devices, 1, generator=generator) - 1
+            force = limit * (2 * torch.rand(devices, 1, generator=generator) - 1)
             state["now"] = env.step(state["now"].set("action", force))["next"]
         return slots * devices * frame_stack
 
-    return make, plants.renderer.metadata()
+    return make, plant.camera()
 
 
 def stock() -> tuple[Callable[[int], int], dict]:
@@ -69,9 +72,9 @@ def bare() -> tuple[Callable[[int], int], dict]:
     import mujoco
     import numpy as np
 
-    from tsjepa.envs import Renderer
+    from tsjepa.plants import CartPole
 
-    renderer = Renderer()
+    renderer = CartPole().renderer
     renderer.render(np.array([[0.1, 0.1]]))
     scale = renderer.view.supersampling
     viewport = mujoco.MjrRect(0, 0, scale * renderer.width, scale * renderer.height)

@@ -41,42 +41,35 @@ def gemm_rate(matrix: Tensor) -> float:
     return 2 * len(matrix) ** 3 / (time.perf_counter() - start)
 
 
-def build(devices: int, model: torch.nn.Module, renderer):
+def build(devices: int, model: torch.nn.Module, plant):
     """The environment: plants, camera, encoder."""
     from torchrl.envs import Compose, TransformedEnv
 
     from tsjepa.envs import FleetEnv
     from tsjepa.envs.transforms import Camera, Encode
 
-    sizes = model.architecture
-    plants = FleetEnv(
-        devices,
-        sampling_interval=sizes.sampling_interval,
-        frame_history=model.frame_history,
-        episode_length=10**9,
-        terminate_on_failure=False,
-    )
-    camera = Camera(renderer.render, sizes.frame_stack, sizes.frame_spacing)
+    plants = FleetEnv(plant, devices, 10**9, model.frame_history, terminate_on_failure=False)
+    camera = Camera(plant.render, plant.spec.frame, model.frame_stack, model.frame_spacing)
     return TransformedEnv(plants, Compose(camera, Encode(model.encode)))
 
 
 def run(env, law, slots: int) -> tuple[float, list[Tensor]]:
-    """Seconds that ``slots`` steps take from fresh starts, and the pictures' qpos [I, frame_history, 2] of each."""
+    """Seconds that ``slots`` steps take from fresh starts, and the scenes [I, frame_history, s] of each."""
     now, seen = env.reset(), []
     start = time.perf_counter()
     for _ in range(slots):
         now = env.step(now.set("action", law(now["state"])))["next"]
-        seen.append(now["qpos"])
+        seen.append(now["scene"])
     return time.perf_counter() - start, seen
 
 
-def alone(model: torch.nn.Module, renderer, seen: list[Tensor]) -> float:
+def alone(model: torch.nn.Module, plant, seen: list[Tensor]) -> float:
     """Seconds that drawing and encoding the same pictures takes."""
     start = time.perf_counter()
     for history in seen:
-        qpos = history[:, :: model.frame_spacing]
-        pictures = torch.from_numpy(renderer.render(qpos.flatten(0, 1).numpy()))
-        model.encode(pictures.unflatten(0, qpos.shape[:2]))
+        scenes = history[:, :: model.frame_spacing]
+        pictures = torch.from_numpy(plant.render(scenes.flatten(0, 1).numpy()))
+        model.encode(pictures.unflatten(0, scenes.shape[:2]))
     return time.perf_counter() - start
 
 
@@ -108,14 +101,13 @@ def measure(name: str, sizes: list[int], batch: int, rounds: int, steps: int, th
         steps: device-steps of a fleet and turn, at least one slot.
         threads: of torch; recorded.
     """
-    from tsjepa.plants.expert import reference_lqr
+    from tsjepa.plants import CartPole
 
-    from tsjepa.envs import Renderer
-
-    model, renderer = tsjepa.load(name), Renderer()
-    law = reference_lqr(model.spec.slot)
-    fleets = {size: build(size, model, renderer) for size in sizes}
-    frames = build(batch, model, renderer).reset()["pixels"]
+    model = tsjepa.load(name)
+    plant = CartPole(model.spec.slot)
+    law = plant.experts()[plant.normaliser]
+    fleets = {size: build(size, model, plant) for size in sizes}
+    frames = build(batch, model, plant).reset()["pixels"]
     matrix = torch.randn(GEMM_SIDE, GEMM_SIDE, generator=torch.Generator().manual_seed(0))
     flops = flops_per_observation(model, frames)
     chained, drawn = {size: [] for size in sizes}, {size: [] for size in sizes}
@@ -126,7 +118,7 @@ def measure(name: str, sizes: list[int], batch: int, rounds: int, steps: int, th
         for size, env in fleets.items():
             slots = max(1, steps // size)
             took, seen = run(env, law, slots)
-            measured[size] = (slots * size / took, slots * size / alone(model, renderer, seen))
+            measured[size] = (slots * size / took, slots * size / alone(model, plant, seen))
         seconds = {way: seconds_to_encode(model, frames, *options) for way, options in ways.items()}
         rate = gemm_rate(matrix)
         if turn:

@@ -13,8 +13,8 @@ import time
 import torch
 from report import publish
 
-from tsjepa.envs import Radio, make_env, make_policy
-from tsjepa.envs.make import LINEAR
+from tsjepa.envs.make import LINEAR, make_env, make_policy
+from tsjepa.envs.settings import Radio
 from tsjepa.plants import CartPole
 
 LOOKS = 100  # at the memory
@@ -30,7 +30,7 @@ def resident_bytes() -> int:
 def grow(devices: int, slots: int) -> dict:
     """Steps a fleet and watches the memory."""
     plant, radio = CartPole(), Radio(resource_blocks=max(1, devices // 4))
-    env = make_env(plant, devices, "channel_aware", radio, LINEAR, slots=100, frame_history=2)
+    env = make_env(plant, devices, "channel_aware", radio, LINEAR, slots=100, terminate_on_failure=True)
     policy = make_policy(plant, LINEAR, radio)
     now, sizes, episodes, began = env.reset(), [], 0, time.monotonic()
     for slot in range(1, slots + 1):

@@ -3,7 +3,7 @@
     python tests/benchmarks/quality.py --threads 2            # about twenty minutes on two idle cores
 
 Each of the epoch numbers is a run of its own: in a new, empty folder the commands that a user would type collect the
-data set and train TS-JEPA by recipes/fast.yaml, train the actor by recipes/fast-actor.yaml, and close the loop on the
+data set and train TS-JEPA by recipes/jepa.yaml, train the actor by recipes/actor.yaml, and close the loop on the
 starts of recipes/evaluate.yaml. The first two count, with every start of Python; the evaluation is timed beside them.
 """
 
@@ -31,10 +31,10 @@ def train(epochs: int, threads: int, accelerator: str, folder: Path) -> dict:
     """
     on = ("--trainer.accelerator", accelerator)
     commands = {
-        "collect_and_fit": ("fit", "--config", "recipes/fast.yaml", *on, "--trainer.max_epochs", str(epochs)),
-        "fit_actor": ("fit", "--config", "recipes/fast-actor.yaml", *on),
+        "collect_and_fit": ("fit", "--config", "recipes/jepa.yaml", *on, "--trainer.max_epochs", str(epochs)),
+        "fit_actor": ("fit", "--config", "recipes/actor.yaml", *on),
         "evaluate": (
-            *("evaluate", "--config", "recipes/evaluate.yaml", "--model", "runs/fast-actor/model"),
+            *("evaluate", "--config", "recipes/evaluate.yaml", "--model", "runs/actor/model"),
             *("--periods", "[1]", "--data", "null", "--video", "false"),
         ),
     }

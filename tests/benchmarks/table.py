@@ -94,8 +94,8 @@ def training_step(result: dict) -> Iterator[Row]:
         name, figure, f"resident random batch: {middle(rates['resident'])}", ratio, ratio["target"], ratio["median"]
     )
     floor = (
-        f"{result['gigaflop_per_step']:.0f} GFLOP a step at bfloat16's "
-        f"{result['bfloat16_gemm_gigaflop_per_second']:,.0f} GFLOP/s"
+        f"{result['gigaflop_per_step']:.0f} GFLOP a step at {result['computes_in']}'s "
+        f"{result['gemm_gigaflop_per_second']:,.0f} GFLOP/s"
     )
     yield Row(name, figure, floor, result["training_over_flop_floor"])
     peak, limit = result["peak_memory_gib"], result["peak_memory_target_gib"]

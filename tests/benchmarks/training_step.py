@@ -5,7 +5,8 @@
 The first is Lightning's own loop over the DataModule: windows read from disk, augmentation, losses, optimizer, moving
 average. The second is a twin of the module whose batch is resident and random and whose augmentation returns patches
 that are ready. After every step of the one the twin takes one over as many slots, so both see the same machine. The
-floor under both is the FLOPs of a step, counted, at the rate at which the same threads then multiply bfloat16 matrices.
+floor under both is the FLOPs of a step, counted, at the rate at which the same threads then multiply matrices in the
+number format that the training computes in.
 """
 
 import argparse
@@ -15,14 +16,17 @@ import time
 
 import lightning
 import torch
+from lightning.pytorch.cli import LightningCLI
 from report import publish, spread
 from torch import nn
 from torch.utils.flop_counter import FlopCounterMode
 
+from tsjepa.cli.estimate import gemm_rate
 from tsjepa.support.allocator import keep_freed_memory
+from tsjepa.support.precision import BFLOAT16, MEMORY_FORMATS, choose
 from tsjepa.training.jepa import TSJEPA
+from tsjepa.training.run import device_of
 
-GEMM_SIDE = 2048
 COUNT_BYTES = 1024  # ru_maxrss is in kibibytes on Linux
 
 
@@ -48,7 +52,7 @@ class Ready(nn.Module):
         super().__init__()
         self.patches = patches
 
-    def forward(self, frames, generator, shared: int = 1) -> torch.Tensor:
+    def forward(self, *arguments) -> torch.Tensor:
         return self.patches
 
 
@@ -75,7 +79,7 @@ class TakeTurns(lightning.Callback):
         shape = batch["patches"].shape
         generator = torch.Generator().manual_seed(0)
         with trainer.strategy.precision_plugin.forward_context():
-            patches = module.augmentation(batch["patches"].flatten(0, 1), generator, shared=shape[1])
+            patches = module.augmentation(batch["patches"].flatten(0, 1), generator, shape[1], None)
         self.twin = copy.deepcopy(module)
         self.twin.__class__ = Twin
         self.twin.augmentation = Ready(torch.randn(patches.shape, generator=generator).to(patches))
@@ -95,24 +99,20 @@ class TakeTurns(lightning.Callback):
         self.twin.on_train_batch_end(None, resident, 0)
 
 
-def gemm_rate(device: torch.device, rounds: int = 10) -> float:
-    """FLOP/s of a product of square bfloat16 matrices, the best of a few."""
-    matrix = torch.randn(GEMM_SIDE, GEMM_SIDE, dtype=torch.bfloat16, device=device)
-    times = []
-    for _ in range(rounds):
-        start = now()
-        matrix @ matrix
-        times.append(now() - start)
-    return 2 * GEMM_SIDE**3 / min(times)
+class ChosenPrecision(LightningCLI):
+    """Computes in what ``fit`` chooses on this machine."""
+
+    def instantiate_trainer(self, **kwargs) -> lightning.Trainer:
+        chosen = choose(self.model.encoder, device_of(self.config.trainer.accelerator))
+        self.model.to(memory_format=MEMORY_FORMATS[chosen.memory_format])
+        return super().instantiate_trainer(precision=chosen.trainer, **kwargs)
 
 
 def measure(recipe: str, steps: int, warmup: int, overrides: list[str]) -> dict:
     """Trains by the recipe for a few steps and compares."""
-    from lightning.pytorch.cli import LightningCLI
-
     keep_freed_memory()
     turns = TakeTurns(warmup)
-    cli = LightningCLI(
+    cli = ChosenPrecision(
         run=False,
         save_config_callback=None,
         seed_everything_default=0,
@@ -137,7 +137,8 @@ def measure(recipe: str, steps: int, warmup: int, overrides: list[str]) -> dict:
             f"an epoch of this data set has too few steps for a warm-up of {warmup}; collect more episodes."
         )
     samples = cli.datamodule.frames_per_batch
-    peak = gemm_rate(cli.trainer.strategy.root_device)
+    computes_in = torch.bfloat16 if cli.trainer.precision == BFLOAT16 else torch.float32
+    peak = max(gemm_rate(computes_in, cli.trainer.strategy.root_device) for _ in range(5))
     ratios = [theirs / ours for ours, theirs in zip(turns.trained, turns.resident_seconds, strict=True)]
     return {
         "recipe": recipe,
@@ -154,10 +155,11 @@ def measure(recipe: str, steps: int, warmup: int, overrides: list[str]) -> dict:
             "target": 0.9,
         },
         "gigaflop_per_step": turns.flops / 1e9,
-        "bfloat16_gemm_gigaflop_per_second": peak / 1e9,
+        "computes_in": str(computes_in).removeprefix("torch."),
+        "gemm_gigaflop_per_second": peak / 1e9,
         "training_over_flop_floor": spread([turns.flops / peak / seconds for seconds in turns.trained]),
         "peak_memory_gib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * COUNT_BYTES / 2**30,
-        "peak_memory_target_gib": 6,
+        "peak_memory_target_gib": 2,
     }
 
 

@@ -118,8 +118,10 @@ def test_an_episode_whose_pictures_never_change_is_skipped(tmp_path):
     path = make.lerobot_v2(tmp_path / "recording", [9, 9, 9])
     still = np.repeat(make.pictures(1), 9, axis=0)
     make.write_video(path / "videos/chunk-000/observation.images.front/episode_000001.mp4", still)
-    _, report, _ = run(path, tmp_path / "set")
+    metadata, report, _ = run(path, tmp_path / "set")
     assert report["skipped"] == [{"name": "episode 1", "reason": "its 9 pictures are all the same.", "count": 1}]
+    used = np.concatenate([make.commands(9, 2, seed)[:-1] for seed in (0, 2)])  # and its commands are not counted
+    np.testing.assert_allclose(metadata["spec"]["action_high"], used.max(axis=0), rtol=1e-6)
 
 
 def test_identical_pictures_in_a_row_are_counted(tmp_path):

@@ -358,3 +358,18 @@ def test_hundreds_of_episodes_are_not_opened_before_they_are_asked_for(tmp_path,
     assert not asked
     next(recording.episodes())
     assert len(asked) == 1
+
+
+def test_several_cameras_are_named_and_one_is_chosen(tmp_path):
+    h5py = pytest.importorskip("h5py")
+    path = make.aloha(tmp_path / "aloha", [9])
+    with h5py.File(path / "episode_0.hdf5", "a") as file:
+        file["observations/images/cam_wrist"] = make.pictures(9, first=500)
+    recording, (episode,), _ = read_all(path)
+    shows(episode)
+    high, wrist = "observations/images/cam_high", "observations/images/cam_wrist"
+    assert recording.notes == [f"It has the cameras {high}, {wrist}; the first is taken."]
+    _, (episode,), _ = read_all(path, camera=wrist)
+    shows(episode, first=500)
+    _, _, (entry,) = read_all(path, camera="cam_left")
+    assert "there is no array cam_left" in entry.reason and wrist in entry.reason

@@ -10,7 +10,7 @@ import tiny
 from tsjepa import cli
 
 RECIPE, DATA_RECIPE = "recipes/jepa.yaml", "recipes/data.yaml"
-DATA, RUN = Path("data/cartpole-20ms"), Path("runs/jepa")
+DATA, RUN = Path("data/cartpole"), Path("runs/jepa")
 
 
 @pytest.fixture(scope="session")

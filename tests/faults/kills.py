@@ -35,7 +35,8 @@ from tsjepa.evaluation import evaluate, simulate  # noqa: F401
 from tsjepa.models import entries
 from tsjepa.support.files import write_text
 from tsjepa.support.provenance import provenance
-from tsjepa.training import actor, jepa, monitor, probe, refine, resume  # noqa: F401
+from tsjepa.training import actor, jepa, monitor, resume  # noqa: F401
+from tsjepa.training.finish import probe, refine  # noqa: F401
 from tsjepa.zoo import export  # noqa: F401
 
 JEPA, DATA, SEARCH = "recipes/jepa.yaml", "recipes/data.yaml", "recipes/fleet-search.yaml"
@@ -59,7 +60,7 @@ class Case:
 
 
 def data_set() -> object:
-    path = Path("data/cartpole-20ms")
+    path = Path("data/cartpole")
     if not path.exists():
         return None
     metadata = read_metadata(path)

@@ -198,9 +198,7 @@ def test_a_strangers_encoder_is_stored_and_loads_where_it_is_trusted(tmp_path):
         "class_path": f"{Thumbnail.__module__}.Thumbnail",
         "init_args": {"frame_stack": 2, "embedding_dim": 8},
     }
-    with pytest.raises(
-        ValueError, match=r"Thumbnail is not this package's own: add --trust"
-    ):
+    with pytest.raises(ValueError, match=r"Thumbnail is not this package's own: add --trust"):
         tsjepa.load(folder)
     loaded = tsjepa.load(folder, trusted=True)
     assert type(loaded.encoder) is Thumbnail

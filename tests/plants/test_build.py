@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 
 import numpy as np
@@ -77,6 +78,12 @@ def test_a_strangers_plant_is_built_where_it_is_trusted():
     with pytest.raises(ValueError, match=r"trusted=True"):
         build_plant(description)
     assert isinstance(build_plant(description, trusted=True), Stranger)
+
+
+def test_workers_that_draw_a_recording_build_the_strangers_plant_that_was_stepped():
+    from tsjepa.data.collect import plant_of
+
+    assert isinstance(plant_of(json.dumps(describe_plant(Stranger()))), Stranger)
 
 
 def test_an_argument_that_is_not_kept_is_named():

@@ -8,6 +8,7 @@ import pytest
 from tsjepa.cli import main
 from tsjepa.radio.trace_formats import read_log
 from tsjepa.radio.trace_import import describe, import_trace, outages, parse_columns
+from tsjepa.radio.traces import read_trace
 
 parquet = pytest.importorskip("pyarrow.parquet")
 
@@ -184,3 +185,13 @@ def test_what_is_no_log_is_refused_in_one_sentence_and_leaves_nothing(tmp_path, 
     with pytest.raises(ValueError, match=sentence):
         import_trace(str(tmp_path / "log.txt"), str(tmp_path / "out.parquet"))
     assert [file.name for file in tmp_path.iterdir()] == ["log.txt"]
+
+
+def test_what_import_writes_is_what_the_radio_reads(tmp_path):
+    (tmp_path / "log.json").write_text(packets({7, 8}, -8))
+    import_trace(str(tmp_path / "log.json"), str(tmp_path / "out.parquet"))
+    trace = read_trace(tmp_path / "out.parquet")
+    assert trace.names == ("0",)
+    np.testing.assert_array_equal(np.flatnonzero(trace.values["lost"].numpy()), [7, 8])
+    np.testing.assert_allclose(trace.time_s.numpy(), 0.1 * np.arange(60), atol=1e-6)
+    assert trace.values["delay_ms"].isnan().sum() == 2

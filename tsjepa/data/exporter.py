@@ -33,7 +33,8 @@ def export_data(
 ) -> Path:
     """Writes a data set as LeRobot v3.0: Parquet rows, one MP4 and one Parquet file a split, and the metadata.
 
-    The row of a trajectory's last picture has the command zero, as in the data set: its result is not recorded.
+    The row of a trajectory's last picture has the command zero, as in the data set: its result is not recorded. What
+    LeRobot has no place for (the expert's command, references, scenes) is left out.
 
     Args:
         path: folder of the data set.

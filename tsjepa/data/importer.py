@@ -99,7 +99,7 @@ def import_recording(
             "splits": {name: {"episodes": len(trajectories), "slots": slots} for name, trajectories in splits.items()},
             "slots": slots,
             "seed": seed,
-            "spec": _spec(plan, parts, size or taken[0][2]).to_dict(),
+            "spec": _spec(plan, [part for part, _, _ in taken], size or taken[0][2]).to_dict(),
         }
         write_data_set(folder, splits, metadata, {"import.json": json.dumps(report, indent=2) + "\n"})
     finally:

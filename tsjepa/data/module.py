@@ -69,6 +69,7 @@ class Trajectories(lightning.LightningDataModule):
         self.frame_stack, self.frame_spacing, self.stacks = frame_stack, frame_spacing, stacks
         self.frames_per_batch, self.steps, self.episodes = frames_per_batch, steps, episodes
         self.splits, self.start_share = tuple(splits), start_share
+        self.other_data = False
 
     @property
     def first_slot(self) -> int:
@@ -96,6 +97,23 @@ class Trajectories(lightning.LightningDataModule):
         if stage == "fit":
             for name in self.metadata["splits"]:
                 check_split(self.split(name), name)
+
+    def state_dict(self) -> dict:
+        """For checkpoints: which data set this is."""
+        return {"path": str(self.path), "sha256": self.metadata["sha256"]}
+
+    def load_state_dict(self, state: dict) -> None:
+        """Refuses to go on from a checkpoint of another data set, unless ``other_data`` is set.
+
+        Raises:
+            ValueError: naming both.
+        """
+        other = state["sha256"] != self.metadata["sha256"]
+        if self.trainer.state.fn == "fit" and other and not self.other_data:
+            raise ValueError(
+                f"The checkpoint is of a run on another data set, {state['path']} (SHA-256 {state['sha256'][:12]}...), "
+                f"not {self.path} ({self.metadata['sha256'][:12]}...): give it that one, or add --other_data true."
+            )
 
     def split(self, name: str) -> TensorDictBase:
         """The first ``episodes`` of one split, memory-mapped; [episodes, T + 1]. All that is fitted comes from here."""

@@ -58,7 +58,7 @@ class Policy(nn.Module):
 def load_policy(expert: nn.Module | str | os.PathLike, low: Sequence[float], high: Sequence[float]) -> Policy:
     """An expert from a module, or from a file of ``torch.export.save`` (.pt2) or ``torch.jit.save``.
 
-    Neither kind of file can run anything but tensor operations.
+    Such a file is a program: take it from somebody whom you trust.
 
     Raises:
         FileNotFoundError: there is no such file.

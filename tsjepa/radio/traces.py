@@ -1,24 +1,27 @@
 """Radio links as they were measured: tables of rows (time, device, what was measured), and their values in each slot.
 
-The normal form is a CSV or Parquet file with the columns
+The normal form is a Parquet (which needs pyarrow: ``pip install tsjepa[data]``) or CSV file with the columns
 
-    time_s     seconds, float, ascending for each device
+    time_s     seconds
     device     name or number; without the column there is one device
     snr_db, sinr_db, rsrp_dbm, delay_ms    measured values; an empty cell is no value
-    lost       1 where the packet of that row was lost, else 0
+    lost       1 where the packet of that row was lost, 0 where not, or the share that was lost
 
-of which all but ``time_s`` may be absent. Files with other names and units are read by saying which column is which.
+of which all but ``time_s`` may be absent. ``tsjepa trace import`` brings other logs into this form.
 """
 
 import csv
 import math
 import os
-from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
+
+from tsjepa.support.foreign import optional
+from tsjepa.support.tables import read_table
 
 VALUES = ("snr_db", "sinr_db", "rsrp_dbm", "delay_ms", "lost")
 
@@ -51,43 +54,38 @@ class SlotTrace(NamedTuple):
     rows: Tensor
 
 
-def read_trace(
-    path: str | Path, columns: Mapping[str, str] | None = None, time_unit_s: float = 1.0, separator: str | None = ","
-) -> Trace:
-    """Read a trace from CSV or Parquet (which needs pyarrow: ``pip install tsjepa[data]``).
-
-    Args:
-        path: ``.parquet``, or text with one row of names.
-        columns: name in the normal form -> name in the file, for files in another form; other columns are ignored.
-        time_unit_s: seconds of one unit of the file's time: 1e-3 for milliseconds.
-        separator: between the cells of a text file; None for any white space.
+def read_trace(path: str | Path) -> Trace:
+    """Read a trace in the normal form; columns of other names are ignored.
 
     Raises:
-        ValueError: naming the file and what is wrong with it: no time, no values, no rows, a row of another length, a
-            cell that is no number.
+        ValueError: naming the file and what is wrong with it: no time, no values, no rows, words in place of numbers.
     """
     path = Path(path)
-    table = _parquet(path) if path.suffix == ".parquet" else _text(path, separator)
-    columns = columns or {name: name for name in ("time_s", "device", *VALUES) if name in table}
-    unknown = set(columns) - {"time_s", "device", *VALUES}
-    missing = [name for name in columns.values() if name not in table]
-    if unknown or missing:
-        wrong = f"no column {missing[0]!r}" if missing else f"nothing to do with {min(unknown)!r}"
-        raise ValueError(f"{path} has {wrong}: its columns are {', '.join(table)}")
-    if "time_s" not in columns or not set(columns) & set(VALUES):
+    table = read_table(path)
+    found = [name for name in VALUES if name in table]
+    if "time_s" not in table or not found:
         raise ValueError(f"a trace needs time_s and one of {', '.join(VALUES)}; {path} has {', '.join(table)}")
-    time = _numbers(path, columns["time_s"], table) * time_unit_s
-    if not len(time):
+    if not len(table["time_s"]):
         raise ValueError(f"{path} has no rows")
+    for name in ("time_s", *found):
+        if table[name].ndim != 1 or table[name].dtype == object:
+            raise ValueError(f"{path}: the column {name} does not hold a number in each row")
+    time, *columns = (torch.from_numpy(np.asarray(table[name], dtype=np.float64)) for name in ("time_s", *found))
     if bool(time.isnan().any()):
         raise ValueError(f"{path}: row {int(time.isnan().nonzero()[0]) + 1} has no time")
-    labels = [str(cell) for cell in table[columns["device"]]] if "device" in columns else ["0"] * len(time)
+    labels = [_label(cell) for cell in table["device"]] if "device" in table else ["0"] * len(time)
     names = tuple(dict.fromkeys(labels))
-    device = torch.tensor([names.index(label) for label in labels])
+    place = {name: index for index, name in enumerate(names)}
+    device = torch.tensor([place[label] for label in labels])
     order = torch.argsort(time, stable=True)
     order = order[torch.argsort(device[order], stable=True)]
-    values = {name: _numbers(path, columns[name], table)[order] for name in VALUES if name in columns}
+    values = {name: column[order] for name, column in zip(found, columns, strict=True)}
     return Trace((time - time.min())[order], device[order], names, values)
+
+
+def _label(cell: object) -> str:
+    """A device's name; numbers that a column of mixed cells turned into floats are whole again."""
+    return str(int(cell)) if isinstance(cell, float) and cell.is_integer() else str(cell)
 
 
 def write_trace(path: str | Path, trace: Trace) -> None:
@@ -98,8 +96,7 @@ def write_trace(path: str | Path, trace: Trace) -> None:
     for name, column in trace.values.items():
         table[name] = [None if math.isnan(value) else value for value in column.tolist()]
     if path.suffix == ".parquet":
-        arrow, parquet = _arrow()
-        parquet.write_table(arrow.table(table), partial)
+        optional("pyarrow.parquet").write_table(optional("pyarrow").table(table), partial)
     else:
         with partial.open("w", newline="") as file:
             writer = csv.writer(file)
@@ -177,39 +174,3 @@ def describe(trace: Trace, slot_s: float, stretch: float = 1.0, slots: int | Non
     if "lost" in trace.values:
         parts.append(f"{100 * trace.values['lost'].nanmean():.1f} % of the packets lost")
     return "; ".join(parts) + "."
-
-
-def _text(path: Path, separator: str | None) -> dict[str, list[str]]:
-    with path.open(newline="") as file:
-        rows = [line.split() for line in file] if separator is None else list(csv.reader(file, delimiter=separator))
-    rows = [[cell.strip() for cell in row] for row in rows if any(cell.strip() for cell in row)]
-    if not rows:
-        raise ValueError(f"{path} is empty")
-    names = rows[0]
-    for number, row in enumerate(rows[1:], 1):
-        if len(row) != len(names):
-            raise ValueError(f"{path}: row {number} has {len(row)} cells under {len(names)} names")
-    return dict(zip(names, map(list, zip(*rows[1:], strict=True)), strict=True)) if rows[1:] else {n: [] for n in names}
-
-
-def _numbers(path: Path, name: str, table: Mapping[str, list]) -> Tensor:
-    def number(row: int, cell: object) -> float:
-        try:
-            return math.nan if cell is None or cell == "" else float(cell)
-        except ValueError:
-            raise ValueError(f"{path}: row {row}, column {name!r} is no number: {cell!r}") from None
-
-    return torch.tensor([number(row, cell) for row, cell in enumerate(table[name], 1)], dtype=torch.float64)
-
-
-def _parquet(path: Path) -> dict[str, list]:
-    return _arrow()[1].read_table(path).to_pydict()
-
-
-def _arrow():
-    try:
-        import pyarrow
-        import pyarrow.parquet
-    except ImportError:
-        raise ImportError("Parquet traces need pyarrow: pip install 'tsjepa[data]', or use CSV") from None
-    return pyarrow, pyarrow.parquet

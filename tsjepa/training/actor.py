@@ -13,7 +13,7 @@ from tsjepa.models import SemanticController, entries
 from tsjepa.plants import build_plant
 from tsjepa.support.parallel import rank_and_world_size
 from tsjepa.support.seeds import derive, run_seed
-from tsjepa.training.controllers import new_controller
+from tsjepa.training.controllers import new_controller, train_only
 from tsjepa.training.embeddings import commands_to_imitate
 from tsjepa.training.schedule import warmup_cosine_schedule
 from tsjepa.training.statistics import command_nmae, squared_command_error
@@ -81,8 +81,7 @@ class SemanticActor(lightning.LightningModule):
         self.model = new_controller(
             frozen.encoder, frozen.predictor, metadata, frozen.frame_spacing, hidden_dims, dropout, set_points
         )
-        self.model.encoder.requires_grad_(False)
-        self.model.predictor.requires_grad_(False)
+        train_only(self.model, self.model.actor)
         self.set_points = set_points
 
     def setup(self, stage: str) -> None:

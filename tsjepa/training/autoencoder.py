@@ -16,6 +16,7 @@ from tsjepa.models.decoder import Decoder
 from tsjepa.models.encoder import patchify
 from tsjepa.plants import build_plant
 from tsjepa.support.seeds import derive, run_seed
+from tsjepa.training.controllers import train_only
 from tsjepa.training.embeddings import embed_split
 from tsjepa.training.finish.callback import Finish
 from tsjepa.training.finish.decoder import look_around, reconstruction_loss
@@ -80,6 +81,7 @@ class Autoencoder(lightning.LightningModule):
         law = next(iter(build_plant(data.metadata["plant"]).experts().values()))
         self.model = AutoencoderController(self.encoder, self.decoder, estimator, law, data.frame_spacing, data.spec)
         self.model.plant = data.metadata["plant"]
+        train_only(self.model, self.encoder, self.decoder)
 
     def on_fit_start(self) -> None:
         frames = torch.from_numpy(self.trainer.datamodule.split("train")["pixels"].numpy()).flatten(0, 1)

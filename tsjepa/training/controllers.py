@@ -49,6 +49,13 @@ def new_controller(
     return model
 
 
+def train_only(module: nn.Module, *parts: nn.Module) -> None:
+    """Leaves only the parameters of ``parts`` a gradient; data parallelism waits for that of every one that may."""
+    module.requires_grad_(False)
+    for part in parts:
+        part.requires_grad_()
+
+
 def check_sizes(encoder: nn.Module, predictor: nn.Module | None, spec) -> None:
     """Refuses parts that do not fit the data.
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Literal
 
 import torch
+import yaml
 from jsonargparse import Namespace
 from lightning import LightningModule, Trainer
 from lightning.pytorch.callbacks import Callback, ModelCheckpoint
@@ -17,10 +18,19 @@ from lightning.pytorch.cli import LightningArgumentParser, LightningCLI, SaveCon
 
 from tsjepa.support.allocator import keep_freed_memory
 from tsjepa.support.files import exclusive
-from tsjepa.support.precision import MEMORY_FORMATS, Precision, candidates, choose, describe
+from tsjepa.support.precision import (
+    BFLOAT16,
+    MEMORY_FORMATS,
+    Precision,
+    candidates,
+    choose,
+    describe,
+    has_bfloat16_units,
+)
 from tsjepa.support.recipes import error_method, find_recipes
 from tsjepa.support.trust import TRUST
 from tsjepa.training.callbacks import ExportModel, Pace, StopWhenNotFinite, WritePredictions
+from tsjepa.training.continuing import RecipeRules, changes, other_sizes, stored_settings
 from tsjepa.training.resume import ContinuedCSVLogger
 
 ROOT = "runs/fit"  # where a recipe without trainer.default_root_dir leaves its results
@@ -48,6 +58,23 @@ def decide(given: Precision | None, trainer: Namespace, model: LightningModule) 
     return choose(encoder, device) if alone else candidates(device)[0]
 
 
+def as_told(settings: Namespace) -> Precision | None:
+    """What the recipe or the command line says to compute in."""
+    told = settings.trainer.precision
+    return told and Precision(str(told), settings.memory_format or Precision.memory_format)
+
+
+def as_before(stored: dict, device: torch.device) -> Precision | None:
+    """What the run that is continued computes in, so that it ends as if it had never stopped.
+
+    None where that would be emulated: the run comes from another machine.
+    """
+    before = (stored.get("trainer") or {}).get("precision")
+    if before is None or (before == BFLOAT16 and not has_bfloat16_units(device)):
+        return None
+    return Precision(before, stored.get("memory_format") or Precision.memory_format)
+
+
 def device_of(accelerator: object) -> torch.device:
     """The kind of device that Lightning takes for ``trainer.accelerator``."""
     if accelerator in ("auto", "gpu", "cuda") and torch.cuda.is_available():
@@ -62,7 +89,7 @@ def equipment(root: Path, checkpoints: bool) -> list[Callback]:
 
     The export comes behind what a recipe lists, so that it writes what the finishes have made.
     """
-    every = [StopWhenNotFinite(), Pace(), ExportModel(), WritePredictions()]
+    every = [RecipeRules(), StopWhenNotFinite(), Pace(), ExportModel(), WritePredictions()]
     if not checkpoints:
         return every
     last = {"save_last": True, "every_n_epochs": 1, "save_on_train_epoch_end": True, "enable_version_counter": False}
@@ -106,18 +133,19 @@ def run_lightning(command: str, options: Sequence[str], program: str = "tsjepa",
         def add_arguments_to_parser(self, parser: LightningArgumentParser) -> None:
             help = "of pictures in the encoder; null, as trainer.precision null: what is fastest on this machine"
             parser.add_argument("--memory_format", type=Literal[tuple(MEMORY_FORMATS)] | None, default=None, help=help)
+            help = "go on from a checkpoint on another data set than its own"
+            parser.add_argument("--other_data", type=bool, default=False, help=help)
 
         def instantiate_trainer(self, **kwargs) -> Trainer:
             settings = self.config[command]
-            given = settings.trainer.precision and Precision(
-                str(settings.trainer.precision), settings.memory_format or "channels_last"
-            )
-            chosen = decide(given, settings.trainer, self.model)
+            root = Path(settings.trainer.default_root_dir or ROOT)
+            self.stored = stored_settings(root) if settings.ckpt_path else {}
+            before = as_before(self.stored, device_of(settings.trainer.accelerator))
+            chosen = decide(as_told(settings) or before, settings.trainer, self.model)
             # the run's config.yaml names what was chosen
             settings.trainer.precision = chosen.trainer
             settings.memory_format = settings.memory_format or chosen.memory_format
             self.model.to(memory_format=MEMORY_FORMATS[settings.memory_format])
-            root = Path(settings.trainer.default_root_dir or ROOT)
             if settings.trainer.logger in (None, True):
                 kwargs["logger"] = ContinuedCSVLogger(root.parent, name="", version=root.name)
             self.trainer_defaults["callbacks"] += equipment(root, settings.trainer.enable_checkpointing is not False)
@@ -131,6 +159,20 @@ def run_lightning(command: str, options: Sequence[str], program: str = "tsjepa",
                 settings = self.config[command]
                 chosen = Precision(settings.trainer.precision, settings.memory_format)
                 print(f"This fit computes in {describe(chosen, self.trainer.strategy.root_device)}.")
+            self.datamodule.other_data = self.config[command].other_data
+            given = yaml.safe_load(self.parser.dump(self.config, skip_link_targets=False, format="yaml"))[command]
+            self.changes = changes(self.stored, given) if self.stored else []
+            if self.trainer.is_global_zero:
+                print(*(f"Continued: {line}.\n" for line in self.changes), sep="", end="")
+
+        def fit(self, *arguments, **options) -> None:
+            try:
+                self.trainer.fit(*arguments, **options)
+            except RuntimeError as error:
+                sentence = other_sizes(error, self.changes)
+                if sentence is None:
+                    raise
+                raise sentence from error
 
     # Lightning warns when it is handed arguments while the process has its own.
     warnings.filterwarnings("ignore", message="LightningCLI's args parameter")

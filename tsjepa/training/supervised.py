@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from tsjepa.data.augmentation import Augmentation
 from tsjepa.models import SemanticController
 from tsjepa.support.seeds import derive, run_seed
-from tsjepa.training.controllers import new_controller
+from tsjepa.training.controllers import new_controller, train_only
 from tsjepa.training.embeddings import commands_to_imitate, embed_patches, embed_split
 from tsjepa.training.pretrained import start_from
 from tsjepa.training.schedule import warmup_cosine_schedule
@@ -53,6 +53,7 @@ class Supervised(lightning.LightningModule):
             self.model = new_controller(
                 self.encoder, None, data.metadata, data.frame_spacing, self.hidden_dims, self.dropout
             )
+            train_only(self.model, self.encoder, self.model.actor)
 
     def training_step(self, batch: TensorDictBase, batch_index: int) -> Tensor:
         generator = torch.Generator().manual_seed(derive(run_seed(), "augmentation", self.global_step))

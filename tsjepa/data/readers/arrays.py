@@ -73,6 +73,9 @@ class ArrayRecording:
             raise ValueError(f"it has no commands among {listed}: name the array of commands (--action).")
         state_keys = self.streams.state or [key for key in STATE if shapes.get(key)][:1]
         time_key = self.streams.time or next((key for key in TIME if len(shapes.get(key, ())) == 1), None)
+        if len(self.cameras) > 1 and self.streams.camera is None:
+            note = f"It has the cameras {', '.join(self.cameras)}; the first is taken."
+            self.notes += [note] if note not in self.notes else []
         taken = {self.streams.camera or cameras[0], *action_keys, *state_keys, time_key}
         others = [f"{key} {tuple(array.shape[1:])} {array.dtype}" for key, array in arrays.items() if key not in taken]
         self.others += [other for other in others if other not in self.others]
