@@ -91,7 +91,7 @@ def test_a_model_with_figures_is_evaluated_as_they_were_measured_and_without_a_d
 
 
 def test_the_plant_may_be_another_one(model, tmp_path):
-    plant = {"class_path": "tsjepa.plants.CartPole", "init_args": {"start_half_widths": [0.01, 0.01, 0.0, 0.0]}}
+    plant = CartPole(start_half_widths=(0.01, 0.01, 0.0, 0.0))
     options = {**SMALL, "periods": (1,), "slots": 5, "video": False, "output": str(tmp_path)}
     near = evaluate(model, plant, **options)
     assert rows_of(near)["expert, perfect feedback", 1]["raw_score"] == 1.0
@@ -107,9 +107,21 @@ def test_a_model_of_a_recording_needs_data_or_a_plant(tmp_path):
     with pytest.raises(ValueError, match="trained on a recording: give --data"):
         evaluate(entry, output=str(tmp_path / "out"))
     assert not (tmp_path / "out").exists()
-    plant = {"class_path": "tsjepa.plants.CartPole", "init_args": {"start_half_widths": [0.01, 0.01, 0.0, 0.0]}}
+    plant = CartPole(start_half_widths=(0.01, 0.01, 0.0, 0.0))
     result = evaluate(entry, plant, str(tmp_path / "out"), **{**SMALL, "periods": (1,), "slots": 5}, video=False)
     assert ("TS-JEPA", 1) in rows_of(result)
+
+
+@pytest.mark.parametrize(("codec", "bits"), [("fp16", 16), ("int8", 8), ("int4", 4)])
+def test_the_models_updates_are_sent_by_the_codec_and_its_bits_are_counted(model, tmp_path, codec, bits):
+    near = CartPole(start_half_widths=(0.01, 0.01, 0.0, 0.0))
+    options = {**SMALL, "periods": (5,), "starts_per_seed": 2, "slots": 10, "video": False, "output": str(tmp_path)}
+    exact, coded = (rows_of(evaluate(model, near, codec=name, **options)) for name in ("fp32", codec))
+    own = ("TS-JEPA", 5)
+    assert coded[own]["bits_per_step"] == pytest.approx(bits * tiny_controller.DIM / 5)
+    assert coded[own]["command_nmae"] != exact[own]["command_nmae"]
+    # the expert's state is sent as it is
+    assert coded["expert, zero", 5] == exact["expert, zero", 5]
 
 
 @pytest.mark.slow

@@ -18,12 +18,13 @@ from tsjepa.evaluation.fleet_film import BORDER, DELIVERED, FAILED, GOOD, LOST, 
 from tsjepa.evaluation.fleet_pictures import redraw
 from tsjepa.evaluation.rollouts import Loop, run
 from tsjepa.models import entries
+from tsjepa.plants import CartPole
 from tsjepa.radio import SCHEDULERS
 from tsjepa.support import provenance
 
 RECIPES = Path(__file__).parents[2] / "recipes"
 SMALL = ["--seeds=2", "--slots=100", "--radio.resource_blocks=2"]
-PLANT = {"class_path": "tsjepa.plants.CartPole", "init_args": {}}
+PLANT = CartPole()
 
 
 def simulate(tmp_path, recipe, *options):
@@ -146,7 +147,7 @@ def test_other_code_another_plant_or_another_normaliser_start_a_search_anew(inte
     with monkeypatch.context() as patch:
         patch.setattr(simulation, "code_hash", lambda *others: "edited")
         assert interrupted(after=2) == whole[:2]
-    noisy = {"class_path": PLANT["class_path"], "init_args": {"process_noise_std": 0.001}}
+    noisy = CartPole(process_noise_std=0.001)
     assert interrupted(after=2, plant=noisy) == whole[:2]
     with monkeypatch.context() as patch:
         patch.setattr("tsjepa.plants.CartPole.normaliser", "expert")

@@ -7,10 +7,9 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from tsjepa.envs import Radio
-from tsjepa.envs.make import check_fit
 from tsjepa.evaluation.rollouts import Loop
 from tsjepa.models import Controller, entries
-from tsjepa.plants import Plant, build_plant
+from tsjepa.plants import Plant, build_plant, describe_plant
 from tsjepa.support.checks import at_least
 
 SEEDS, STARTS_PER_SEED, SLOTS = 5, 20, 100
@@ -31,27 +30,26 @@ def load_on(name: str, device: str) -> Controller:
 
 
 def plant_of(
-    model: Controller,
-    description: Mapping[str, Any] | None = None,
-    process_noise_std: float | Sequence[float] | None = None,
+    model: Controller, plant: Plant | None = None, process_noise_std: float | Sequence[float] | None = None
 ) -> Plant | None:
-    """The plant that ``description`` names, else that of the model's figures, else the one that it was trained on.
+    """``plant``, else that of the model's figures, else the one that the model was trained on.
 
     Args:
         model: a model.
-        description: class_path and init_args of a plant.
-        process_noise_std: instead of the described noise.
+        plant: the one that is wanted.
+        process_noise_std: instead of the plant's own noise.
 
     Returns:
         None where nobody names a plant: the model was trained on a recording.
 
     Raises:
-        ValueError: the description names no plant, or a noise that it does not have.
+        ValueError: the model's plant cannot be built, or has no such noise.
     """
-    described = description or (model.metrics or {}).get("plant") or model.plant
-    if described is None:
-        return None
-    return build_plant(described, **({} if process_noise_std is None else {"process_noise_std": process_noise_std}))
+    noise = {} if process_noise_std is None else {"process_noise_std": process_noise_std}
+    if plant is not None:
+        return build_plant(describe_plant(plant), trusted=True, **noise) if noise else plant
+    described = (model.metrics or {}).get("plant") or model.plant
+    return None if described is None else build_plant(described, **noise)
 
 
 def held_out_loop(
@@ -66,15 +64,14 @@ def held_out_loop(
     """The loop of ``model`` on a lossless link; what is None is as in its figures, else as the constants above say.
 
     Raises:
-        ValueError: a number below 1, or a plant that the model does not fit.
+        ValueError: a number below 1, a codec that there is not, or a plant that the model does not fit.
     """
-    check_fit(model, plant)
     figures = model.metrics or {}
     starts_per_seed = figures.get("starts_per_seed", STARTS_PER_SEED) if starts_per_seed is None else starts_per_seed
     slots = figures.get("slots", SLOTS) if slots is None else slots
     frame_history = figures.get("frame_history", 1) if frame_history is None else frame_history
     at_least(1, starts_per_seed=starts_per_seed, slots=slots, frame_history=frame_history)
-    return Loop(
+    loop = Loop(
         plant,
         model,
         num_devices=starts_per_seed,
@@ -83,6 +80,8 @@ def held_out_loop(
         frame_history=max(frame_history, model.frame_history),
         blend=blend,
     )
+    loop.env(0)  # says now what does not fit together
+    return loop
 
 
 def warn_of_another_renderer(camera: Mapping[str, Any], *records: Mapping[str, Any] | None) -> None:

@@ -6,7 +6,6 @@ import json
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import torch
 from tensordict import TensorDictBase
@@ -22,7 +21,7 @@ from tsjepa.evaluation.open_loop import open_loop_metrics
 from tsjepa.evaluation.pictures import horizon_plot, loop_plot
 from tsjepa.evaluation.rollouts import ONCE, Loop, every, perfect_feedback, run
 from tsjepa.evaluation.summary import score_by_slot, summary, table, watched_figures
-from tsjepa.plants import describe_plant
+from tsjepa.plants import Plant, describe_plant
 from tsjepa.support.checks import at_least, within
 from tsjepa.support.files import write_text
 from tsjepa.support.provenance import machine as computer
@@ -35,7 +34,7 @@ NO_DATA = "Command error on trajectories, probe error and prediction skill are l
 
 def evaluate(
     model: str,
-    plant: dict[str, Any] | None = None,
+    plant: Plant | None = None,
     output: str = "runs/evaluation",
     data: str | None = None,
     periods: Sequence[int] = (1, 2, 5, 10, 20, ONCE),
@@ -56,8 +55,8 @@ def evaluate(
 
     Args:
         model: name or folder of a zoo entry.
-        plant: class_path and init_args of the machine; the one that the model was trained on if left out. A model of a
-            recording has none and is evaluated on data alone.
+        plant: the machine; the one that the model was trained on if left out. A model of a recording has none and is
+            evaluated on data alone.
         output: folder for ``evaluation.json``, the plots ``score.png`` and (with a period of 0) ``horizon.png``, and
             what embeddings hold: the film ``loop.mp4`` and the still picture ``inside.png``.
         data: data set whose test split gives command error, probe error and prediction skill.

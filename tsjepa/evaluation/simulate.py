@@ -23,7 +23,7 @@ from tsjepa.evaluation.fleet_summary import as_csv, device_rows, summary, table
 from tsjepa.evaluation.metrics import normalized_score
 from tsjepa.evaluation.rollouts import Loop, optimal_scores, run
 from tsjepa.models import Controller, entries
-from tsjepa.plants import Plant, build_plant, describe_plant
+from tsjepa.plants import Plant, describe_plant
 from tsjepa.radio.schedulers import SchedulerFunction, get_scheduler
 from tsjepa.support.checks import at_least
 from tsjepa.support.files import write_text
@@ -59,7 +59,7 @@ def simulate(
     schedulers: Sequence[str] = ("channel_aware", "round_robin"),
     controller: str = HOLD,
     radio: Radio = Radio(),  # noqa: B008 - frozen
-    plant: dict[str, Any] | None = None,
+    plant: Plant | None = None,
     slots: int = 100,
     frame_history: int = 2,
     seeds: int = 5,
@@ -80,7 +80,7 @@ def simulate(
         controller: one of tsjepa.envs.make.ON_STATE, such as "hold" (the expert on the received state, its command held
             between updates), or a model by name or folder.
         radio: the uplink.
-        plant: class_path and init_args of the machines; left out, those that the model was trained on.
+        plant: the kind of machine; left out, the one that the model was trained on.
         slots: T.
         frame_history: slots up to step 0, the warm-up at rest; at least those of the model's stack.
         seeds: how many seeds of plants and channels, at least 2.
@@ -97,6 +97,7 @@ def simulate(
     if num_devices is None and not search_over:
         raise ValueError("Nothing to do: give num_devices, search_over, or both.")
     at_least(2, seeds=seeds)
+    at_least(1, slots=slots, frame_history=frame_history)
     if search_over:
         sizes_served.check_sizes(search_over)
     if isinstance(schedulers, str) or not schedulers:
@@ -110,6 +111,7 @@ def simulate(
     warn_of_another_renderer(camera, getattr(model_or_name, "metrics", None))
     sizes = [*search_over] if num_devices is None else [num_devices, *search_over]
     loop = Loop(machine, model_or_name, "none", max(sizes), slots, radio, frame_history)
+    loop.env(0)  # says now what does not fit together
     optimal = optimal_scores(loop, seeds)
     for best in optimal[:, : min(sizes)]:
         normalized_score(best, best)  # says now where scores cannot be normalised
@@ -152,20 +154,18 @@ def load_controller(name: str, device: str = "cpu") -> str | Controller:
         ) from error
 
 
-def plant_for(controller: str | Controller, description: dict[str, Any] | None) -> Plant:
+def plant_for(controller: str | Controller, plant: Plant | None) -> Plant:
     """The plant of a recipe, or the one that the model was trained on.
 
     Raises:
         ValueError: nobody names one.
     """
-    if description is not None:
-        return build_plant(description)
-    plant = plant_of(controller) if isinstance(controller, Controller) else None
-    if plant is None:
+    found = plant_of(controller, plant) if isinstance(controller, Controller) else plant
+    if found is None:
         raise ValueError(
             "A fleet needs a plant: give plant, a class_path such as tsjepa.plants.CartPole with its init_args."
         )
-    return plant
+    return found
 
 
 def one_fleet(experiment: Experiment, count: int, video: bool) -> dict:
