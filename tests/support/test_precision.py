@@ -100,6 +100,7 @@ def test_the_memory_format_changes_no_embedding(encoder):
 
 
 def test_the_description_names_the_choice_and_the_limits(monkeypatch):
+    monkeypatch.delenv("ATEN_CPU_CAPABILITY", raising=False)
     monkeypatch.setenv("ONEDNN_MAX_CPU_ISA", "AVX2")
     text = describe(FIRST32, CPU)
     assert text.startswith("32-true, contiguous, on ") and text.endswith(", ONEDNN_MAX_CPU_ISA=AVX2")
