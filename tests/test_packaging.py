@@ -29,7 +29,19 @@ EXTRAS = {
     if name != "test"
     for pin in pins
 }
-TARGETS = ["setup", "train-jepa", "train-actor", "data", "evaluate", "demo", "test", "test-fast", "lint", "help"]
+TARGETS = [
+    "setup",
+    "train-jepa",
+    "train-actor",
+    "data",
+    "evaluate",
+    "demo",
+    "test",
+    "test-fast",
+    "test-slow",
+    "lint",
+    "help",
+]
 TARGETS += ["train-supervised", "train-autoencoder", "figures", "figures-check", "report", "faults", "audit", "bench"]
 MODULE_NAMES = {
     "cv2": "opencv-python-headless",
