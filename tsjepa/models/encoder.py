@@ -102,7 +102,7 @@ class Encoder(nn.Module):
             )
         self.frame_shape = (frame_stack, height, width, 3)
         self.frame_stack, self.height, self.width = frame_stack, height, width
-        self.embedding_dim, self.widths, self.grey = embedding_dim, tuple(widths), grey
+        self.embedding_dim, self.widths, self.grey, self.stem_kernel = embedding_dim, tuple(widths), grey, stem_kernel
         first, second, third = widths
         colors = 1 if grey else 3
         self.stem = nn.Sequential(
