@@ -14,7 +14,7 @@ from torch.nn import functional as F
 from tsjepa.models.decoder import Decoder
 from tsjepa.models.encoder import patchify
 from tsjepa.support.seeds import derive, run_seed
-from tsjepa.training.embeddings import embed_split
+from tsjepa.training.embeddings import embedded
 from tsjepa.training.finish.callback import Finish
 from tsjepa.training.finish.minimize import ForwardContext, minimize
 
@@ -158,12 +158,12 @@ class FitDecoder(Finish):
 
     def finish(self, trainer: lightning.Trainer, module: lightning.LightningModule) -> None:
         model, data = module.controller(), trainer.datamodule
+        parts = [embedded(data, model, name)["embedding"] for name in self.splits]
         splits = [data.split(name) for name in self.splits]
-        embedded = [embed_split(model.encoder, split, model.frame_spacing)["embedding"] for split in splits]
-        first = splits[0].shape[1] - embedded[0].shape[1]
+        first = splits[0].shape[1] - parts[0].shape[1]
         fit_decoder(
             model.decoder,
-            torch.cat([rows.flatten(0, 1) for rows in embedded]),
+            torch.cat([rows.flatten(0, 1) for rows in parts]),
             NewestFrames(splits, first),
             self.steps,
             self.batch_size,
