@@ -1,7 +1,7 @@
 """LeRobot itself: a recording of its own writer is imported, and its own reader opens what export-data writes.
 
 LeRobot wants another torch than tsjepa. Where it is not in this environment, ``TSJEPA_LEROBOT_PYTHON`` names the Python
-of one that has it (``pip install --group lerobot`` makes one, with Python 3.12); without one those tests are skipped.
+of one that has it (Python 3.12, ``pip install 'lerobot[dataset]==0.6.1'``); without one those tests are skipped.
 """
 
 import functools
