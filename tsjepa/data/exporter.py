@@ -66,13 +66,13 @@ def export_data(
 
 def _write(path: Path, folder: Path, metadata: dict, task: str, codec: str) -> None:
     spec = spec_of(metadata)
-    slot = spec.slot
+    rate = Fraction(1 / spec.slot).limit_denominator(10_000)  # of rows and video alike: LeRobot compares their times
     spans, entries, start = {}, [], 0
     whole = Statistics()
     for index, name in enumerate(metadata["splits"]):
         split = open_split(path, name)
         first = len(entries)
-        entries += _write_split(folder, split, index, first, start, slot, codec, whole)
+        entries += _write_split(folder, split, index, first, start, rate, codec, whole)
         start += split.shape[0] * split.shape[1]
         spans[name] = f"{first}:{len(entries)}"
     for number, entry in enumerate(entries):
@@ -94,33 +94,33 @@ def _write(path: Path, folder: Path, metadata: dict, task: str, codec: str) -> N
         "chunks_size": 1000,
         "data_files_size_in_mb": 100,
         "video_files_size_in_mb": 200,
-        "fps": _rate(slot),
+        "fps": _plain(rate),
         "splits": spans,
         "data_path": DATA_PATH,
         "video_path": VIDEO_PATH,
-        "features": features(split, spec, _rate(slot), codec),
+        "features": features(split, spec, _plain(rate), codec),
     }
     (folder / "meta/info.json").write_text(json.dumps(info, indent=4) + "\n")
 
 
-def _rate(slot: float) -> int | float:
+def _plain(rate: Fraction) -> int | float:
     """Pictures a second; LeRobot wants a whole number where it is one."""
-    return round(1 / slot) if abs(1 / slot - round(1 / slot)) < 1e-6 / slot else 1 / slot
+    return int(rate) if rate.denominator == 1 else float(rate)
 
 
 def _write_split(
-    folder: Path, split: TensorDict, index: int, first: int, start: int, slot: float, codec: str, whole: Statistics
+    folder: Path, split: TensorDict, index: int, first: int, start: int, rate: Fraction, codec: str, whole: Statistics
 ) -> list[dict]:
     """Rows and pictures of one split; returns an entry of meta/episodes for every trajectory."""
     count, frames = split.batch_size
-    _video(folder / VIDEO_PATH.format(video_key=CAMERA, chunk_index=0, file_index=index), split, slot, codec)
+    _video(folder / VIDEO_PATH.format(video_key=CAMERA, chunk_index=0, file_index=index), split, rate, codec)
     rows: dict[str, list] = {}
     entries = []
     for trajectory in range(count):
         part = {
             "action": split["action"][trajectory].numpy(),
             **({"observation.state": split["state"][trajectory].numpy()} if "state" in set(split.keys()) else {}),
-            "timestamp": (np.arange(frames) * slot).astype(np.float32),
+            "timestamp": (np.arange(frames) / float(rate)).astype(np.float32),
             "frame_index": np.arange(frames),
             "episode_index": np.full(frames, first + trajectory),
             "index": start + trajectory * frames + np.arange(frames),
@@ -143,8 +143,8 @@ def _write_split(
                 "dataset_to_index": start + at + frames,
                 f"videos/{CAMERA}/chunk_index": 0,
                 f"videos/{CAMERA}/file_index": index,
-                f"videos/{CAMERA}/from_timestamp": at * slot,
-                f"videos/{CAMERA}/to_timestamp": (at + frames) * slot,
+                f"videos/{CAMERA}/from_timestamp": float(at / rate),
+                f"videos/{CAMERA}/to_timestamp": float((at + frames) / rate),
                 **{f"stats/{key}/{name}": value for key, stat in own.summary().items() for name, value in stat.items()},
             }
         )
@@ -152,12 +152,11 @@ def _write_split(
     return entries
 
 
-def _video(path: Path, split: TensorDict, slot: float, codec: str) -> None:
+def _video(path: Path, split: TensorDict, rate: Fraction, codec: str) -> None:
     av = optional("av")
     path.parent.mkdir(parents=True, exist_ok=True)
     encoder, layout, crf, _, _ = CODECS[codec]
     pixels = split["pixels"]
-    rate = Fraction(1 / slot).limit_denominator(1000)
     with av.open(str(path), "w") as container:
         stream = container.add_stream(encoder, rate=rate)
         stream.height, stream.width, stream.pix_fmt = pixels.shape[2], pixels.shape[3], layout

@@ -42,7 +42,7 @@ def features(split: TensorDict, spec: PlantSpec, rate: float, codec: str) -> dic
             "video.pix_fmt": layout,
             "video.fps": rate,
             "video.channels": 3,
-            "video.is_depth_map": False,
+            "is_depth_map": False,
             "has_audio": False,
         },
     }

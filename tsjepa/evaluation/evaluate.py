@@ -105,7 +105,7 @@ def evaluate(
     print(table(result))
     if loop is not None:
         pictures(loop, result, folder, video)
-    print(f"Figures, plots and film are in {folder}.")
+    print(f"{'The figures' if loop is None else 'Figures, plots and film'} are in {folder}.")
     return result
 
 
