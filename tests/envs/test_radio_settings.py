@@ -78,7 +78,7 @@ def test_holding_controllers_work_behind_a_downlink_and_have_no_buffer():
 
 
 def test_grants_of_an_mcs_and_room_for_its_repetition():
-    """A state of 128 bits with MCS 4: a unit holds 156 x .6016 = 93 of them, so two are needed, four for two attempts."""
+    """A state of 128 bits with MCS 4: a unit holds 156 x .6016 = 93 of them, so two are needed; four for two tries."""
     for harq_ms, units in ((None, 2), (8.0, 4)):
         data = rollout(Radio(resource_blocks=None, link=McsLink(4), harq_ms=harq_ms))
         granted = data["resource_units"][data["scheduled"]]
