@@ -106,3 +106,24 @@ def test_the_shortcut_is_the_strided_convolution():
     straight = F.relu(block.norm1(block.conv1(picture)))
     expected = F.relu(block.norm2(block.conv2(straight)) + block.shortcut[1](F.conv2d(picture, weight, stride=2)))
     torch.testing.assert_close(block(picture), expected)
+
+
+def test_the_gradient_of_a_channels_last_picture_is_channels_last():
+    picture = torch.randn(2, 8, 16, 32).contiguous(memory_format=torch.channels_last).requires_grad_()
+    ResidualBlock(8, 8, 2).to(memory_format=torch.channels_last)(picture).sum().backward()
+    assert picture.grad.is_contiguous(memory_format=torch.channels_last)
+
+
+@pytest.mark.parametrize(("kernel", "reach"), [(1, 0), (3, 1), (5, 2)])
+def test_the_stem_sees_as_many_patches_as_its_kernel_has(kernel, reach):
+    stem = Encoder(widths=(4, 4, 4), stem_kernel=kernel).stem[0]
+    picture = torch.zeros(1, 96, 16, 32, requires_grad=True)
+    stem(picture)[0, :, 8, 16].sum().backward()
+    rows, columns = picture.grad[0].abs().sum(0).nonzero().unbind(1)
+    assert (rows.min(), rows.max()) == (8 - reach, 8 + reach)
+    assert (columns.min(), columns.max()) == (16 - reach, 16 + reach)
+
+
+def test_a_stem_without_a_middle_is_refused():
+    with pytest.raises(ValueError, match="stem_kernel = 2 is even"):
+        Encoder(stem_kernel=2)
