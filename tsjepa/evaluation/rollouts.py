@@ -37,7 +37,7 @@ class Loop:
             update every P slots.
         num_devices: I.
         slots: T.
-        radio: the uplink.
+        radio: uplink and downlink.
         frame_history: slots up to step 0, the warm-up; models of different stacks meet the same starts with the longest
             one's.
         blend: how much of a received embedding enters the belief.
@@ -101,7 +101,7 @@ def run(loop: Loop, seed: int, watch: Watch | None = None, env: TransformedEnv |
     """
     env, policy = env or loop.env(seed), loop.policy()
     in_units = loop.radio.resource_blocks is None
-    keys = (*RECORDED, "resource_units") if in_units else RECORDED
+    keys = (*RECORDED, *["resource_units"] * in_units, *["energy_j"] * (loop.radio.energy is not None))
     now = env.reset()
     states, actions, scores, records, references = [now["state"]], [], [], [], []
     for slot in range(loop.slots):
@@ -113,8 +113,8 @@ def run(loop: Loop, seed: int, watch: Watch | None = None, env: TransformedEnv |
         now = env.step(now)
         scores.append(now["next", "reward"][..., 0])
         following = step_mdp(now)
-        held = following.get("held_command", None)
-        actions.append(now["action"] if held is None else held)
+        applied = following.get("applied_command", following.get("held_command", None))
+        actions.append(now["action"] if applied is None else applied)
         states.append(following["state"])
         now = following
     record, state, action = torch.stack(records), torch.stack(states), torch.stack(actions)
@@ -143,6 +143,7 @@ def _recorded(
         used=(record["resource_units"] if in_units else record["scheduled"]).sum(-1),
         capacity=capacity,
         cost=None if cost is None else cost(state[1:], action, reference),
+        energy_j=record.get("energy_j", None),
     )
 
 

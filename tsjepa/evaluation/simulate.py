@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -24,6 +25,7 @@ from tsjepa.evaluation.rollouts import Loop, optimal_scores, run
 from tsjepa.models import Controller, entries
 from tsjepa.plants import Plant, describe_plant
 from tsjepa.radio.schedulers import SchedulerFunction, get_scheduler
+from tsjepa.radio.traces import describe, read_trace
 from tsjepa.support.checks import at_least
 from tsjepa.support.files import write_json, write_text
 from tsjepa.support.journal import Journal
@@ -78,7 +80,7 @@ def simulate(
         schedulers: names in tsjepa.radio.SCHEDULERS; in Python also functions. The film shows the first two.
         controller: one of tsjepa.envs.make.ON_STATE, such as "hold" (the expert on the received state, its command held
             between updates), or a model by name or folder.
-        radio: the uplink.
+        radio: uplink and downlink.
         plant: the kind of machine; left out, the one that the model was trained on.
         slots: T.
         frame_history: slots up to step 0, the warm-up at rest; at least those of the model's stack.
@@ -124,6 +126,9 @@ def simulate(
         "optimal_policy": machine.normaliser,
         "acceptable_score": acceptable_score,
     }
+    if radio.trace is not None:
+        made["trace"] = trace_of(radio, machine.spec.slot, slots)
+        print(f"The trace {radio.trace}: {made['trace']['describes']}")
     folder = Path(output)
     folder.mkdir(parents=True, exist_ok=True)
     experiment = Experiment(loop, named, optimal, made, folder)
@@ -134,6 +139,13 @@ def simulate(
         result["search"] = search(experiment, search_over, code_hash(type(machine), *functions))
     print(f"Figures and plots are in {folder}.")
     return result
+
+
+def trace_of(radio: Radio, slot: float, slots: int) -> dict[str, str]:
+    """What is played: a sentence on its length, its stretching, its repetitions and its gaps, and the file's hash."""
+    trace = read_trace(radio.trace)
+    describes = describe(trace, slot, radio.trace_stretch, slots)
+    return {"describes": describes, "sha256": hashlib.sha256(Path(radio.trace).read_bytes()).hexdigest()}
 
 
 def load_controller(name: str, device: str = "cpu") -> str | Controller:

@@ -100,20 +100,29 @@ def channel_aware(
     age_weight: float = 1.0,
     aoi_reset: str = "delivery",
     snr_gate: bool = True,
+    age_growth: str = "quadratic",
 ):
-    """Top marginal gain of the paper's objective sum_i w1 P[success] - w2 log(age), over devices above the threshold.
+    """Top marginal gain of the objective sum_i w1 P[success] - w2 f(age), over devices above the threshold.
 
-    Scheduling device i changes the objective by (1 - eps)(w1 + w2 log(1 + beta)) where the age resets on delivery, and
-    by w1 (1 - eps) + w2 log(1 + beta) where it resets on scheduling; beta is the age before the slot. The sum is
-    separable, so the top J by this gain solve the paper's problem exactly.
+    Scheduling device i changes the objective by (1 - eps)(w1 + w2 g) where the age resets on delivery, and by
+    w1 (1 - eps) + w2 g where it resets on scheduling, with g = f(beta + 1) - f(1) and beta the age before the slot. The
+    sum is separable, so the top J by this gain solve the problem exactly.
+
+    The paper has f = log. Where all links are believed alike, every growing f ranks the devices alike. Where they are
+    not, log gives up a device that is believed to be in a burst of losses, since waiting costs it ever less; a plant
+    that falls pays ever more, so f is the square by default.
 
     Args:
         known: what is known of the slot.
         success_weight, age_weight: w1 and w2.
         aoi_reset: "delivery" or "scheduled".
         snr_gate: keep the constraint gamma >= gamma_th.
+        age_growth: f, "quadratic" or (the paper's) "logarithmic".
     """
-    freshness = age_weight * torch.log1p(known.age.to(known.success.dtype))
+    age = known.age.to(known.success.dtype)
+    if age_growth not in ("quadratic", "logarithmic"):
+        raise ValueError(f"unknown age_growth {age_growth!r}: choose 'quadratic' or 'logarithmic'")
+    freshness = age_weight * (age * (age + 2) if age_growth == "quadratic" else torch.log1p(age))
     if aoi_reset == "delivery":
         score = known.success * (success_weight + freshness)
     elif aoi_reset == "scheduled":

@@ -1,14 +1,18 @@
 """Who transmits in this slot."""
 
+from collections.abc import Callable
+
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.data import Composite, TensorSpec
 
 from tsjepa.envs.transforms.base import SlotTransform, Values, flag_spec, number_spec, require_key
-from tsjepa.radio.belief import make_belief
+from tsjepa.radio.belief import PredictedCsi, make_belief
+from tsjepa.radio.decoding import Decoding
 from tsjepa.radio.knowledge import Known
 from tsjepa.radio.link import db_to_linear, resource_units, units_per_slot
+from tsjepa.radio.links import AdaptedDecoding
 from tsjepa.radio.loss import GilbertElliott, IidLoss
 from tsjepa.radio.schedulers import SchedulerFunction, get_scheduler
 
@@ -37,9 +41,10 @@ class Scheduler(SlotTransform):
         snr_threshold_db: decode threshold. With perfect CSI a device asks for units at its SNR (or at the threshold,
             if that is higher); otherwise at the threshold, so that it arrives if and only if the threshold is met.
         max_doppler_hz, loss, fading: the channel that the scheduler assumes, as of :class:`Channel`.
+        decoding: when a packet is decoded, if not from the threshold on.
+        demand: from bits and linear SNR to the resource units that a device asks for.
+        outcome_keys: outcome and age of the slot before, as whoever schedules knows them.
     """
-
-    previous_keys = ("age_of_information", "delivered")
 
     def __init__(
         self,
@@ -54,6 +59,9 @@ class Scheduler(SlotTransform):
         max_doppler_hz: float = 0.0,
         loss: IidLoss | GilbertElliott | None = None,
         fading: str = "rayleigh",
+        decoding: Decoding | AdaptedDecoding | None = None,
+        demand: Callable[[int, Tensor], Tensor] = resource_units,
+        outcome_keys: tuple[str, str] = ("delivered", "age_of_information"),
     ):
         if (resource_blocks is None) == (payload_bits is None):
             raise ValueError("give either resource_blocks (devices per slot) or payload_bits (bits per update)")
@@ -67,7 +75,9 @@ class Scheduler(SlotTransform):
         self.budget = resource_blocks if payload_bits is None else (units or units_per_slot(sampling_interval))
         self.csi = csi
         self.snr_threshold = float(db_to_linear(snr_threshold_db))
-        self.belief = make_belief(csi, self.snr_threshold, csi_delay, loss, max_doppler_hz, sampling_interval, fading)
+        decoding = self.snr_threshold if decoding is None else decoding
+        self.belief = make_belief(csi, decoding, csi_delay, loss, max_doppler_hz, sampling_interval, fading)
+        self.demand, self.outcome_keys, self.previous_keys = demand, outcome_keys, outcome_keys
 
     def _specs(self, incoming: Composite) -> dict[str, TensorSpec]:
         specs = {"scheduled": flag_spec(incoming), "scheduler_memory": number_spec(incoming, dtype=torch.float64)}
@@ -105,7 +115,8 @@ class Scheduler(SlotTransform):
         shape, device = current.batch_size, current.device
         everyone = torch.ones(shape, dtype=torch.bool, device=device)
         perfect = torch.ones(shape, dtype=torch.float64, device=device)
-        age, belief, delivered = (previous[k] for k in ("age_of_information", "channel_belief", "delivered"))
+        delivered, age = (previous[key] for key in self.outcome_keys)
+        belief = previous["channel_belief"]
         known = Known(
             age=torch.ones(shape, dtype=torch.int64, device=device) if age is None else age,
             snr=perfect,
@@ -121,10 +132,11 @@ class Scheduler(SlotTransform):
         # without an Uplink, and in the first slot of an episode, there is no outcome to learn from
         arrived = ~everyone if delivered is None else delivered
         sent = ~everyone if delivered is None else previous["scheduled"]
-        belief, link = self.belief.step(belief, current["mean_snr"], current["snr"], sent, arrived)
+        gains = {"gain": current.get("gain", None)} if isinstance(self.belief, PredictedCsi) else {}
+        belief, link = self.belief.step(belief, current["mean_snr"], current["snr"], sent, arrived, **gains)
         return belief, known._replace(**link._asdict())
 
     def _demand(self, known: Known, current: TensorDictBase) -> Tensor:
         require_key(current, "snr", "Scheduler with payload_bits", "a Channel")
         snr = known.snr if self.csi == "perfect" else torch.zeros_like(known.snr)
-        return resource_units(self.payload_bits, snr.clamp(min=self.snr_threshold))
+        return self.demand(self.payload_bits, snr.clamp(min=self.snr_threshold))
