@@ -10,7 +10,7 @@ from tsjepa.radio.cost import age_cost, age_cost_table, cost_weight
 from tsjepa.radio.need import channel_aware_cost, expected_urgency, genie, urgency, whittle_cost
 from tsjepa.radio.schedulers import channel_aware, whittle
 
-FIELDS = {urgency: "urgency", expected_urgency: "expected_error", genie: "true_error"}
+FIELDS = {urgency: "urgency", expected_urgency: "expected_gain", genie: "true_error"}
 
 
 def fleet(devices=8, seed=0, **fields):

@@ -7,7 +7,7 @@ from tsjepa.radio import SCHEDULERS, Known, gated, grant, periodic, simulate_age
 from tsjepa.radio.schedulers import channel_aware, channel_aware_literal, get_scheduler, max_age
 
 CASES, DEVICES = 100_000, 8
-NEEDS = ("urgency", "expected_error", "true_error", "age_cost")
+NEEDS = ("urgency", "expected_gain", "true_error", "age_cost")
 
 
 def random_case(seed, cases=CASES, devices=DEVICES):

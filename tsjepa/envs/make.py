@@ -16,6 +16,7 @@ from torch import Tensor, nn
 from torchrl.envs import Compose, TransformedEnv
 
 from tsjepa.envs.fleet import FleetEnv
+from tsjepa.envs.need import BY_COST, cost_of_age, watched
 from tsjepa.envs.payload import sends_frames, update_bits, update_codec
 from tsjepa.envs.settings import Radio
 from tsjepa.envs.transforms import (
@@ -32,6 +33,7 @@ from tsjepa.envs.transforms import (
 from tsjepa.models import Controller
 from tsjepa.plants.plant import Plant
 from tsjepa.radio.schedulers import SCHEDULERS, SchedulerFunction
+from tsjepa.support.deal import deal
 
 HOLD, ZERO, LINEAR, EXACT = "hold", "zero", "linear", "exact"
 ON_STATE = {
@@ -91,7 +93,7 @@ def make_env(
         *radio_end(plant, num_devices, scheduler, radio, model, seed),
         far_end(controller, plant, radio, blend, between),
     ]
-    return TransformedEnv(fleet, Compose(*chain))
+    return TransformedEnv(fleet, Compose(*watched(chain, scheduler, radio, plant, controller, at_weights)))
 
 
 def check_fit(model: Controller, plant: Plant) -> None:
@@ -122,13 +124,17 @@ def radio_end(
     codec = update_codec(radio, plant.spec, model)
     bits = update_bits(radio, plant.spec, model, codec)
     decide = partial(SCHEDULERS["random"], seed=seed) if scheduler == "random" else scheduler
+    dealt = {
+        name: deal(value, num_devices) if isinstance(value, tuple | list) else value
+        for name, value in (("snr", radio.snr_target_db), ("bits", bits), ("priority", radio.priority))
+    }
     chain = []
     if not radio.lossless:
         chain.append(
             Channel(
                 radio.deployment,
                 tx_power_dbm=radio.tx_power_dbm,
-                snr_target_db=radio.snr_target_db,
+                snr_target_db=dealt["snr"],
                 max_doppler_hz=radio.max_doppler_hz,
                 sampling_interval=plant.spec.slot,
                 loss=radio.loss,
@@ -139,7 +145,7 @@ def radio_end(
         Scheduler(
             decide,
             resource_blocks=radio.resource_blocks,
-            payload_bits=bits,
+            payload_bits=dealt["bits"],
             units=None if bits is None else radio.units(plant.spec.slot),
             sampling_interval=plant.spec.slot,
             csi=radio.csi,
@@ -147,6 +153,8 @@ def radio_end(
             snr_threshold_db=radio.snr_threshold_db,
             max_doppler_hz=radio.max_doppler_hz,
             loss=radio.loss,
+            weight=dealt["priority"],
+            age_cost=cost_of_age(plant, num_devices) if scheduler in BY_COST else None,
         )
     )
     uplink = Uplink(radio.snr_threshold_db, lossless=lossless)

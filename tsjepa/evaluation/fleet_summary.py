@@ -17,7 +17,7 @@ def summary(scheduler: str, runs: list[Run], optimal: Tensor) -> dict:
     scores = [normalized_score(outcome.raw_score(), best) for outcome, best in zip(runs, optimal, strict=True)]
     mean, half = interval(scores)
     ages = torch.stack([outcome.age for outcome in runs])
-    return {
+    row = {
         "scheduler": scheduler,
         "normalized_score": mean,
         "interval_95": half,
@@ -30,6 +30,9 @@ def summary(scheduler: str, runs: list[Run], optimal: Tensor) -> dict:
         "bits_per_device_and_slot": _mean(runs, lambda outcome: outcome.payload_bits),
         "age_counts": torch.bincount(ages.flatten() - 1).tolist(),
     }
+    if runs[0].signalling_bits is not None:
+        row["signalling_bits_per_device_and_slot"] = _mean(runs, lambda outcome: outcome.signalling_bits)
+    return row
 
 
 def device_rows(scheduler: str, runs: list[Run], optimal: Tensor) -> list[dict]:

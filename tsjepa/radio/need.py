@@ -20,12 +20,12 @@ def urgency(known: Known):
 
 
 def expected_urgency(known: Known):
-    """The same by the error that the controller expects, for which no device says anything."""
-    return _by_gain(_wanted(known.expected_error, "expected_error", "a record of the controller's errors"), known)
+    """The same by what the controller expects a delivery to save, for which no device says anything."""
+    return _by_gain(_wanted(known.expected_gain, "expected_gain", "a record of the controller's errors"), known)
 
 
 def genie(known: Known):
-    """The same by the error as it is in this slot, which nobody can know: a bound for the two others."""
+    """Largest error of the command as it is in this slot, which nobody can know: a bound for the two others."""
     return _by_gain(_wanted(known.true_error, "true_error", "the true state of the devices"), known)
 
 

@@ -1,7 +1,8 @@
 """The chain from plant to controller, one TorchRL transform per box.
 
 Order in a ``Compose``: Drive, Channel, Scheduler, Camera, Encode, Codec, Uplink, Estimator, HoldCommand; leave
-out what the experiment does not have.
+out what the experiment does not have. Where devices watch all the time, Camera, Encode and Urgency stand before the
+Scheduler; so does ExpectedGain.
 """
 
 from tsjepa.envs.transforms.camera import Camera, Encode
@@ -10,6 +11,7 @@ from tsjepa.envs.transforms.drive import Drive
 from tsjepa.envs.transforms.estimator import Estimator, HoldCommand, linear_model
 from tsjepa.envs.transforms.scheduler import Scheduler
 from tsjepa.envs.transforms.uplink import Codec, Uplink
+from tsjepa.envs.transforms.urgency import ExpectedGain, Twin, Urgency
 
 __all__ = [
     "Camera",
@@ -18,8 +20,11 @@ __all__ = [
     "Drive",
     "Encode",
     "Estimator",
+    "ExpectedGain",
     "HoldCommand",
     "Scheduler",
+    "Twin",
     "Uplink",
+    "Urgency",
     "linear_model",
 ]
