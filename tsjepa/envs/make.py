@@ -30,6 +30,7 @@ from tsjepa.envs.transforms import (
     Uplink,
     linear_model,
 )
+from tsjepa.envs.weights import at_weights
 from tsjepa.models import Controller
 from tsjepa.plants.plant import Plant
 from tsjepa.radio.schedulers import SCHEDULERS, SchedulerFunction
@@ -93,7 +94,7 @@ def make_env(
         *radio_end(plant, num_devices, scheduler, radio, model, seed),
         far_end(controller, plant, radio, blend, between),
     ]
-    return TransformedEnv(fleet, Compose(*watched(chain, scheduler, radio, plant, controller, at_weights)))
+    return TransformedEnv(fleet, Compose(*watched(chain, scheduler, radio, plant, controller)))
 
 
 def check_fit(model: Controller, plant: Plant) -> None:
@@ -190,17 +191,6 @@ def far_end(
             raise ValueError("The state of this plant is not all of its physics, so it cannot be predicted exactly.")
         return Estimator(partial(_exact, plant), blend=blend)
     raise ValueError(f"There is no controller {controller!r}; choose {', '.join(ON_STATE)} or a model.")
-
-
-def at_weights(model: nn.Module, method: Callable) -> Callable:
-    """``method`` of ``model`` for tensors anywhere: computed where its weights lie, and the result brought back."""
-
-    def call(first: Tensor, *others: Tensor | None) -> Tensor:
-        weight = next(model.parameters(), first)
-        given = (tensor if tensor is None else tensor.to(weight.device) for tensor in (first, *others))
-        return method(*given).to(first.device)
-
-    return call
 
 
 def _sent_as(radio: Radio) -> str:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import torch
 from torch import Tensor, nn
 
+from tsjepa.envs.payload import sends_frames
 from tsjepa.envs.settings import Radio, Requests
 from tsjepa.envs.transforms import Camera, Encode, Estimator, ExpectedGain, Scheduler, Twin, Urgency
+from tsjepa.envs.weights import at_weights
 from tsjepa.models import Controller
 from tsjepa.plants.plant import Plant
 from tsjepa.radio.cost import age_cost_table
@@ -28,7 +28,6 @@ def watched(
     radio: Radio,
     plant: Plant,
     controller: str | Controller,
-    at_weights: Callable[[nn.Module, Callable], Callable],
 ) -> list[nn.Module]:
     """The chain with what its scheduler needs in front of it; the same chain where it needs nothing of the kind.
 
@@ -38,7 +37,6 @@ def watched(
     Args:
         chain: from the channel to the far end.
         scheduler, radio, plant, controller: as of :func:`tsjepa.envs.make.make_env`.
-        at_weights: see :func:`tsjepa.envs.make.at_weights`.
 
     Raises:
         ValueError: a device that is to watch, and does not make what it would have to compare.
@@ -47,28 +45,24 @@ def watched(
     if not asks:
         return chain
     place = next(index for index, part in enumerate(chain) if isinstance(part, Scheduler))
-    twin = twin_of(chain[-1], plant, controller, at_weights)
-    key = "embedding" if isinstance(controller, Controller) else "state"
+    twin = twin_of(chain[-1], plant, controller)
+    if scheduler == EXPECTED:
+        received = "embedding" if sends_frames(radio.codec) else "received"
+        return [*chain[:place], ExpectedGain(twin, received), *chain[place:]]
     sees = [part for part in chain[place:] if isinstance(part, Camera) or _encodes_pixels(part)]
-    if key == "embedding" and not any(isinstance(part, Encode) for part in sees):
+    if sees and not isinstance(sees[-1], Encode):
         raise ValueError(
             f"The scheduler {scheduler!r} compares embeddings, which a device that sends frames (codec "
             f"{radio.codec!r}) does not make: choose a codec of embeddings."
         )
-    if scheduler == EXPECTED:
-        return [*chain[:place], ExpectedGain(twin), *chain[place:]]
+    key = "embedding" if sees else "state"
     requests = Requests() if radio.requests is None else radio.requests
     says = Urgency(twin, key) if scheduler == TRUE else Urgency(twin, key, requests.code(), requests.delay)
     rest = [part for part in chain[place:] if part not in sees]
     return [*chain[:place], *sees, says, *rest]
 
 
-def twin_of(
-    far_end: nn.Module,
-    plant: Plant,
-    controller: str | Controller,
-    at_weights: Callable[[nn.Module, Callable], Callable],
-) -> Twin:
+def twin_of(far_end: nn.Module, plant: Plant, controller: str | Controller) -> Twin:
     """The controller behind ``far_end`` as its devices know it.
 
     Commands are those of the plant's expert before they saturate, in the state that a model's probe reads, where the

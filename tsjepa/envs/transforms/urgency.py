@@ -154,14 +154,14 @@ class ExpectedGain(SlotTransform):
     def _specs(self, incoming: Composite) -> dict[str, TensorSpec]:
         return {
             "expected_gain": number_spec(incoming, dtype=torch.float64),
-            "error_record": number_spec(incoming, expected_error.WIDTH, dtype=torch.float64),
+            "error_record": number_spec(incoming, 2, expected_error.CELLS, dtype=torch.float64),
             "error_situation": number_spec(incoming, dtype=torch.int64),
             "expected_command": number_spec(incoming, len(self.twin.rest)),
         }
 
     def _begin(self, before: Values, current: TensorDictBase) -> Values:
         shape, device = current.batch_size, current.device
-        empty = expected_error.pack(expected_error.start_record(shape, device))
+        empty = torch.stack(expected_error.start_record(shape, device), -2)
         return {
             "error_record": before.get("error_record", empty),
             "error_situation": torch.zeros(shape, dtype=torch.int64, device=device),
@@ -170,19 +170,19 @@ class ExpectedGain(SlotTransform):
 
     @torch.no_grad()
     def _slot(self, previous: Values, current: TensorDictBase, fresh: Tensor | None) -> Values:
-        record = expected_error.unpack(previous["error_record"])
+        record = expected_error.ErrorRecord(*previous["error_record"].unbind(-2))
         if previous["delivered"] is not None:
             record = self._learned(record, previous)
         command, informed, belief = self.twin.command(previous, current)
         age = previous["age_of_information"]
         age = torch.ones(current.batch_size, dtype=torch.int64, device=current.device) if age is None else age
-        situation = expected_error.situation(age, command.abs().amax(-1), informed)
+        situation = expected_error.situation(age, informed)
         gain = expected_error.expected_gain(record, situation)
         if belief is not None:
             gain = gain.masked_fill(informed & self.twin.failed(belief), 0.0)
         return {
             "expected_gain": gain,
-            "error_record": expected_error.pack(record),
+            "error_record": torch.stack(record, -2),
             "error_situation": situation,
             "expected_command": command.to(torch.float32),
         }
