@@ -16,9 +16,11 @@ PEERS_PYTHON ?= $(BIN)/python
 BENCHMARKS := camera training_step network fleet collection latency loading memory quality
 
 BIN := $(VENV)/bin
+# a file of tests stays in one process, because its tests share what they made
+PYTEST = $(BIN)/python -m pytest --numprocesses logical --maxprocesses 8 --dist loadfile
 STAMP := $(VENV)/.setup-done
 
-.PHONY: help setup train-jepa train-actor train-supervised train-autoencoder data evaluate demo figures figures-check report test test-fast test-slow lint faults audit bench
+.PHONY: help setup train-jepa train-actor train-supervised train-autoencoder data evaluate demo figures figures-check report test test-fast lint faults audit bench
 
 help: ## print this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "%-18s %s\n", $$1, $$2}' Makefile
@@ -80,14 +82,11 @@ figures-check: setup ## run a small point of every recorded sweep again and comp
 report: setup ## write docs/report.md and docs/report.html: each figure beside the paper's claims
 	$(BIN)/tsjepa report
 
-test: setup ## run all tests: the fast and the slow part side by side, each on one thread
-	OMP_NUM_THREADS=1 $(MAKE) -j2 VENV=$(VENV) test-fast test-slow
+test: setup ## run all tests, on every core, each on one thread
+	$(PYTEST)
 
-test-fast: setup ## run the tests that take no longer than a few seconds each
-	$(BIN)/python -m pytest -m 'not slow'
-
-test-slow: setup ## run the tests that train, start processes or close loops
-	$(BIN)/python -m pytest -m slow
+test-fast: setup ## run the tests that take no longer than two seconds each
+	$(PYTEST) -m 'not slow'
 
 faults: setup ## kill every command fifty times and record what survives (about ten minutes)
 	$(BIN)/python tests/faults/kills.py --kills 50

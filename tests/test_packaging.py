@@ -38,7 +38,6 @@ TARGETS = [
     "demo",
     "test",
     "test-fast",
-    "test-slow",
     "lint",
     "help",
 ]

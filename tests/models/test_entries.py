@@ -3,6 +3,7 @@ import json
 import random
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -15,6 +16,7 @@ from tsjepa.models import SemanticController, entries
 from tsjepa.models.entries import CARD, CONFIG, MANIFEST, METRICS, WEIGHTS, DamagedEntryError
 from tsjepa.support.description import describe
 from tsjepa.support.spec import PlantSpec
+from tsjepa.training.callbacks import ExportModel
 
 GUARDED = (CONFIG, WEIGHTS, METRICS, MANIFEST)
 CORRUPTIONS = 200
@@ -216,6 +218,9 @@ def test_an_encoder_that_forgets_its_arguments_is_named_before_anything_is_writt
     with pytest.raises(ValueError, match=r"Forgetful cannot be stored.*does not keep its argument 'brightness'"):
         entries.save(model, tmp_path / "model")
     assert not list(tmp_path.iterdir())
+    module = SimpleNamespace(controller=lambda: model)
+    with pytest.raises(ValueError, match=r"Forgetful cannot be stored"):  # nor is it trained first
+        ExportModel().on_fit_start(None, module)
 
 
 def test_a_model_of_a_recording_has_no_plant_and_one_without_states_no_probe(tmp_path):

@@ -27,3 +27,5 @@ if __name__ == "__main__":
     value = loss(gather(own))
     value.backward()
     torch.save((value.detach(), own.grad), f"{folder}/{rank}.pt")
+    distributed.barrier()  # gloo aborts a process whose peer has left in the middle of its last message
+    distributed.destroy_process_group()

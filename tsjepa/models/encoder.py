@@ -45,7 +45,8 @@ class ResidualBlock(nn.Module):
 
     The shortcut takes every ``stride``-th pixel, then a 1x1 convolution of stride 1. A strided 1x1 convolution is the
     same map, but oneDNN (torch 2.13 on a CPU) writes past the end of its weights' gradient with fewer than 8 input
-    channels in channels-last format.
+    channels in channels-last format. The pixels are taken by a pooling of one, because the gradient of a strided slice
+    is never channels-last, and whatever adds to it then copies.
     """
 
     def __init__(self, in_channels: int, out_channels: int, stride: int) -> None:
@@ -59,14 +60,14 @@ class ResidualBlock(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         y = F.relu(self.norm1(self.conv1(x)))
-        return F.relu(self.norm2(self.conv2(y)) + self.shortcut(x[:, :, :: self.stride, :: self.stride]))
+        return F.relu(self.norm2(self.conv2(y)) + self.shortcut(F.avg_pool2d(x, 1, self.stride)))
 
 
 class Encoder(nn.Module):
     """Residual network with three stages, flattened (pooling loses the cart's position) and projected to ``d``.
 
-    The stem rearranges the picture into 4x4 patches and runs a 3x3 convolution over them, that is a 12x12 kernel at
-    stride 4. On a CPU it costs a fifth of a 7x7 stride-2 stem with pooling, and it reads position as well.
+    The stem rearranges the picture into 4x4 patches and runs a convolution over them; of 3x3 patches that is a 12x12
+    kernel at stride 4. On a CPU it costs a fifth of a 7x7 stride-2 stem with pooling, and it reads position as well.
 
     Args:
         frame_stack: frames per embedding (kappa of the paper), stacked on channels, oldest first.
@@ -76,6 +77,8 @@ class Encoder(nn.Module):
         width: frame width in pixels.
         grey: read the luma of every pixel instead of its three colours, which takes two thirds off the stem's work.
             For scenes in which nothing that matters is told by colour alone.
+        stem_kernel: side of the stem's kernel in patches, odd. With 1 the first stage is the first to see two patches
+            together, and the stem, the half of a small network's work, has a ninth of it.
     """
 
     def __init__(
@@ -86,9 +89,12 @@ class Encoder(nn.Module):
         height: int = 64,
         width: int = 128,
         grey: bool = False,
+        stem_kernel: int = 3,
     ) -> None:
         super().__init__()
-        at_least(1, frame_stack=frame_stack, embedding_dim=embedding_dim)
+        at_least(1, frame_stack=frame_stack, embedding_dim=embedding_dim, stem_kernel=stem_kernel)
+        if stem_kernel % 2 == 0:
+            raise ValueError(f"stem_kernel = {stem_kernel} is even; take 1 or 3, so that the kernel has a middle.")
         if len(widths) != 3 or min(widths) < 1 or height % 32 or width % 32:
             raise ValueError(
                 f"The encoder takes three widths of at least 1 and a frame whose sides are multiples of 32, not "
@@ -96,11 +102,11 @@ class Encoder(nn.Module):
             )
         self.frame_shape = (frame_stack, height, width, 3)
         self.frame_stack, self.height, self.width = frame_stack, height, width
-        self.embedding_dim, self.widths, self.grey = embedding_dim, tuple(widths), grey
+        self.embedding_dim, self.widths, self.grey, self.stem_kernel = embedding_dim, tuple(widths), grey, stem_kernel
         first, second, third = widths
         colors = 1 if grey else 3
         self.stem = nn.Sequential(
-            nn.Conv2d(colors * PATCH**2 * frame_stack, first, 3, padding=1, bias=False),
+            nn.Conv2d(colors * PATCH**2 * frame_stack, first, stem_kernel, padding=stem_kernel // 2, bias=False),
             nn.BatchNorm2d(first),
             nn.ReLU(),
         )

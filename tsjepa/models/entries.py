@@ -156,6 +156,15 @@ def _config(path: Path) -> dict:
     return config
 
 
+def configuration(model: nn.Module) -> dict:
+    """What an entry says of the classes, sizes and plant of ``model``.
+
+    Raises:
+        ValueError: a part of the model does not keep its arguments.
+    """
+    return {"format": FORMAT, "model": describe(model, _part_of_a_model), "plant": model.plant}
+
+
 def save(
     model: nn.Module, folder: str | Path, metrics: dict | None = None, card: str = "", dtype: str = "float32"
 ) -> Path:
@@ -176,7 +185,7 @@ def save(
     """
     if dtype not in WEIGHT_DTYPES:
         raise ValueError(f"Weights are stored as {' or '.join(WEIGHT_DTYPES)}, not as {dtype!r}.")
-    config = {"format": FORMAT, "model": describe(model, _part_of_a_model), "plant": model.plant}
+    config = configuration(model)
     folder = Path(folder)
     with exclusive(folder):
         partial = folder.with_name(folder.name + ".partial")

@@ -100,14 +100,18 @@ class SemanticActor(lightning.LightningModule):
 
     def training_step(self, batch: TensorDictBase, batch_index: int) -> Tensor:
         reference, wanted = self.task(batch)
-        devices = [self.device] if self.device.type == "cuda" else []
-        # torch's dropout knows only the global stream; seeded by step, a resumed run repeats the interrupted one.
+        on_gpu = self.device.type == "cuda"
+        # torch's dropout knows only the global stream; seeded by step, a resumed run repeats the interrupted one. Only
+        # the stream of this device: torch.manual_seed seeds all, and without a GPU it formats a stack trace for later.
         # Commands are wanted finer than bfloat16 has them, and the actor is small: float32 whatever the trainer does.
-        with torch.random.fork_rng(devices), torch.autocast(self.device.type, enabled=False):
-            torch.manual_seed(self.stream("dropout"))
+        with torch.random.fork_rng([self.device] if on_gpu else []), torch.autocast(self.device.type, enabled=False):
+            stream = torch.cuda.default_generators[self.device.index] if on_gpu else torch.default_generator
+            stream.manual_seed(self.stream("dropout"))
             command = self.model.actor.unclipped(batch["embedding"], reference)
         imitation = squared_command_error(command, wanted, self.model.spec)
-        self.log("imitation_loss", imitation, prog_bar=True)
+        every = self.trainer.log_every_n_steps
+        if self.trainer.is_last_batch or (every and (self.global_step + 1) % every == 0):
+            self.log("imitation_loss", imitation, prog_bar=True)  # not at every step, of which it would be a tenth
         return imitation
 
     def stream(self, purpose: str) -> int:
@@ -140,7 +144,9 @@ class SemanticActor(lightning.LightningModule):
         return batch.clone(recurse=False).set("command", command)
 
     def configure_optimizers(self):
-        optimizer = torch.optim.AdamW(self.model.actor.parameters(), self.learning_rate, weight_decay=self.weight_decay)
+        optimizer = torch.optim.AdamW(
+            self.model.actor.parameters(), self.learning_rate, weight_decay=self.weight_decay, fused=True
+        )
         total = self.trainer.estimated_stepping_batches
         schedule = warmup_cosine_schedule(optimizer, total)
         return {"optimizer": optimizer, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}

@@ -84,8 +84,12 @@ def pace(seconds: float, left: float) -> str:
 class ExportModel(lightning.Callback):
     """Writes the module's controller as a zoo entry when the fit ends, so that a run's result loads like any other.
 
-    Every ``tsjepa fit`` has it. The entry is the folder "model" in the trainer's default_root_dir.
+    Every ``tsjepa fit`` has it. The entry is the folder "model" in the trainer's default_root_dir. A model that could
+    not be stored is refused before it is trained.
     """
+
+    def on_fit_start(self, trainer: lightning.Trainer, module: lightning.LightningModule) -> None:
+        entries.configuration(module.controller())
 
     def on_fit_end(self, trainer: lightning.Trainer, module: lightning.LightningModule) -> None:
         if trainer.is_global_zero:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import lightning
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor, nn
 
+from tsjepa.models import Controller
 from tsjepa.models.encoder import PIXEL_MEAN, PIXEL_STD, unpatchify
 
 CARRIED = ("state", "action", "expert_action", "reference")  # beside the embeddings, where a split has them
@@ -50,6 +52,12 @@ def embed_split(encoder: nn.Module, split: TensorDictBase, frame_spacing: int, b
     embedding = torch.cat(parts).unflatten(0, (episodes, frames - first))
     rest = split.select(*CARRIED, strict=False)[:, first:].to(device)
     return TensorDict({"embedding": embedding, **rest}, batch_size=[episodes, frames - first], device=device)
+
+
+def embedded(data: lightning.LightningDataModule, model: Controller, name: str) -> TensorDict:
+    """A split by :func:`embed_split`, or as the data module has embedded it for the same frozen encoder."""
+    kept = getattr(data, "embedded", {})
+    return kept[name] if name in kept else embed_split(model.encoder, data.split(name), model.frame_spacing)
 
 
 def commands_to_imitate(rows: TensorDictBase) -> Tensor:

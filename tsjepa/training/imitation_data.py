@@ -88,13 +88,13 @@ class ImitationPairs(Trajectories):
         super().setup(stage)
         # Lightning moves the module after this
         model = self.trainer.lightning_module.model.to(self.trainer.strategy.root_device)
-        spacing = model.frame_spacing
-        train = torch.cat([embed_split(model.encoder, self.split(name), spacing) for name in self.splits])
-        self.pairs = imitation_pairs(model, train, self.horizons)
-        self.held_out = {
-            name: embed_split(model.encoder, self.split(name), spacing).flatten(0, 1)
-            for name in {self.validation, self.test}
+        # kept for what is fitted on the same embeddings when the fit ends
+        self.embedded = {
+            name: embed_split(model.encoder, self.split(name), model.frame_spacing)
+            for name in dict.fromkeys((*self.splits, self.validation, self.test))
         }
+        self.pairs = imitation_pairs(model, torch.cat([self.embedded[name] for name in self.splits]), self.horizons)
+        self.held_out = {name: self.embedded[name].flatten(0, 1) for name in {self.validation, self.test}}
 
     def train_dataloader(self) -> DataLoader:
         rank, world_size = self.trainer.global_rank, self.trainer.world_size

@@ -8,7 +8,7 @@ import lightning
 import torch
 
 from tsjepa.radio.codecs import AffineCodec
-from tsjepa.training.embeddings import embed_split
+from tsjepa.training.embeddings import embedded
 from tsjepa.training.finish.callback import Finish
 
 
@@ -26,10 +26,7 @@ class FitCodec(Finish):
 
     def finish(self, trainer: lightning.Trainer, module: lightning.LightningModule) -> None:
         model, data = module.controller(), trainer.datamodule
-        spacing = model.frame_spacing
-        parts = [
-            embed_split(model.encoder, data.split(name), spacing)["embedding"].flatten(0, 1) for name in self.splits
-        ]
+        parts = [embedded(data, model, name)["embedding"].flatten(0, 1) for name in self.splits]
         codec = AffineCodec(model.embedding_dim).to(model.code_low.device).fit(torch.cat(parts))
         model.code_low.copy_(codec.low)
         model.code_high.copy_(codec.high)

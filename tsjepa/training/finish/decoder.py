@@ -13,7 +13,7 @@ from torch.nn import functional as F
 from tsjepa.models.decoder import Decoder
 from tsjepa.models.encoder import patchify
 from tsjepa.support.seeds import derive, run_seed
-from tsjepa.training.embeddings import embed_split
+from tsjepa.training.embeddings import embedded
 from tsjepa.training.finish.callback import Finish
 from tsjepa.training.finish.minimize import ForwardContext, minimize
 
@@ -130,10 +130,10 @@ class FitDecoder(Finish):
     def finish(self, trainer: lightning.Trainer, module: lightning.LightningModule) -> None:
         model, data = module.controller(), trainer.datamodule
         embeddings, frames = [], []
-        for split in map(data.split, self.splits):
-            embedded = embed_split(model.encoder, split, model.frame_spacing)["embedding"]
-            newest = torch.from_numpy(split["pixels"].numpy())[:, -embedded.shape[1] :]
-            embeddings.append(embedded.flatten(0, 1))
+        for name in self.splits:
+            embedding = embedded(data, model, name)["embedding"]
+            newest = torch.from_numpy(data.split(name)["pixels"].numpy())[:, -embedding.shape[1] :]
+            embeddings.append(embedding.flatten(0, 1))
             frames.append(newest.flatten(0, 1))
         fit_decoder(
             model.decoder,

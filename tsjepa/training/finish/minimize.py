@@ -35,7 +35,7 @@ def minimize(
         what: said beside the progress bar.
     """
     parameters = [parameter.requires_grad_() for parameter in parameters]  # the fit may have left them out
-    optimizer = torch.optim.AdamW(parameters, learning_rate, weight_decay=weight_decay)
+    optimizer = torch.optim.AdamW(parameters, learning_rate, weight_decay=weight_decay, fused=True)
     schedule = warmup_cosine_schedule(optimizer, steps)
     progress = trange(steps, desc=what, unit="step")
     for step in progress:

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from tsjepa.models import StateProbe
 from tsjepa.support.seeds import derive, run_seed
-from tsjepa.training.embeddings import embed_split
+from tsjepa.training.embeddings import embedded
 from tsjepa.training.finish.callback import Finish
 from tsjepa.training.finish.minimize import minimize
 from tsjepa.training.statistics import mean_and_std
@@ -64,7 +64,5 @@ class FitProbe(Finish):
         if model.probe is None:
             trainer.print("The data have no states: there is no probe.")
             return
-        spacing = model.frame_spacing
-        parts = [embed_split(model.encoder, data.split(name), spacing).flatten(0, 1) for name in self.splits]
-        rows = torch.cat(parts)
+        rows = torch.cat([embedded(data, model, name).flatten(0, 1) for name in self.splits])
         fit_probe(model.probe, rows["embedding"], rows["state"], self.steps, seed=derive(run_seed(), "probe"))
