@@ -7,6 +7,7 @@ from tsjepa.radio import SCHEDULERS, Known, gated, grant, periodic, simulate_age
 from tsjepa.radio.schedulers import channel_aware, channel_aware_literal, get_scheduler, max_age
 
 CASES, DEVICES = 100_000, 8
+NEEDS = ("urgency", "expected_gain", "true_error", "age_cost")
 
 
 def random_case(seed, cases=CASES, devices=DEVICES):
@@ -23,6 +24,7 @@ def random_case(seed, cases=CASES, devices=DEVICES):
         budget=torch.randint(0, 12, (cases,), generator=generator),
         memory=torch.randint(0, 4, (cases, devices), generator=generator).double(),
         slot=torch.randint(0, 6, (cases, devices), generator=generator),
+        **{key: torch.rand(cases, devices, generator=generator) for key in NEEDS},
     )
 
 

@@ -16,10 +16,12 @@ from torch import Tensor, nn
 from torchrl.envs import Compose, TransformedEnv
 
 from tsjepa.envs.fleet import FleetEnv
+from tsjepa.envs.need import watched
 from tsjepa.envs.payload import sends_frames
 from tsjepa.envs.radio_end import actuator, radio_end
 from tsjepa.envs.settings import Radio
 from tsjepa.envs.transforms import Estimator, HoldCommand, linear_model
+from tsjepa.envs.weights import at_weights
 from tsjepa.models import Controller
 from tsjepa.plants.plant import Plant
 from tsjepa.radio.schedulers import SchedulerFunction
@@ -84,7 +86,7 @@ def make_env(
         *actuator(plant, radio, rest(plant), isinstance(believes, HoldCommand), seed),
         believes,
     ]
-    return TransformedEnv(fleet, Compose(*chain))
+    return TransformedEnv(fleet, Compose(*watched(chain, scheduler, radio, plant, controller)))
 
 
 def check_fit(model: Controller, plant: Plant) -> None:
@@ -146,17 +148,6 @@ def prediction(controller: str | Controller, plant: Plant) -> Callable[[Tensor, 
             raise ValueError("The state of this plant is not all of its physics, so it cannot be predicted exactly.")
         return partial(_exact, plant)
     raise ValueError(f"There is no controller {controller!r}; choose {', '.join(ON_STATE)} or a model.")
-
-
-def at_weights(model: nn.Module, method: Callable) -> Callable:
-    """``method`` of ``model`` for tensors anywhere: computed where its weights lie, and the result brought back."""
-
-    def call(first: Tensor, *others: Tensor | None) -> Tensor:
-        weight = next(model.parameters(), first)
-        given = (tensor if tensor is None else tensor.to(weight.device) for tensor in (first, *others))
-        return method(*given).to(first.device)
-
-    return call
 
 
 def _sent_as(radio: Radio) -> str:

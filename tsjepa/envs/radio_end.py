@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 
 import torch
 from torch import nn
 
+from tsjepa.envs.need import BY_COST, cost_of_age
 from tsjepa.envs.payload import packet_bits, sends_frames, update_bits, update_codec
 from tsjepa.envs.settings import Radio
 from tsjepa.envs.transforms import (
@@ -28,6 +30,7 @@ from tsjepa.models import Controller
 from tsjepa.plants.plant import Plant
 from tsjepa.radio.links import McsLink
 from tsjepa.radio.schedulers import SCHEDULERS, SchedulerFunction
+from tsjepa.support.deal import deal
 
 
 def radio_end(
@@ -51,8 +54,11 @@ def radio_end(
         repeats=radio.harq_ms is not None and not radio.lossless,
         seed=seed,
     )
-    arrival = [uplink, *after_uplink(plant, radio, seed)]
-    chain = [*channel(plant, radio, seed), schedule(plant, scheduler, radio, model, codec, seed)]
+    arrival = [uplink, *after_uplink(plant, num_devices, radio, seed)]
+    chain = [
+        *channel(plant, num_devices, radio, seed),
+        schedule(plant, num_devices, scheduler, radio, model, codec, seed),
+    ]
     if model is None:
         return [*chain, Codec(codec, in_key="state"), *arrival]
     camera = Camera(plant.render, plant.spec.frame, model.frame_stack, model.frame_spacing)
@@ -62,7 +68,7 @@ def radio_end(
     return [*chain, camera, Encode(model.encoder, model.embedding_dim), Codec(codec), *arrival]
 
 
-def channel(plant: Plant, radio: Radio, seed: int) -> list[nn.Module]:
+def channel(plant: Plant, num_devices: int, radio: Radio, seed: int) -> list[nn.Module]:
     """The links, simulated or measured; none where nothing is lost."""
     if radio.lossless:
         return []
@@ -73,7 +79,7 @@ def channel(plant: Plant, radio: Radio, seed: int) -> list[nn.Module]:
         Channel(
             radio.deployment,
             tx_power_dbm=radio.tx_power_dbm,
-            snr_target_db=radio.snr_target_db,
+            snr_target_db=dealt(radio.snr_target_db, num_devices),
             max_doppler_hz=radio.max_doppler_hz,
             sampling_interval=slot,
             loss=radio.loss,
@@ -84,8 +90,14 @@ def channel(plant: Plant, radio: Radio, seed: int) -> list[nn.Module]:
     ]
 
 
+def dealt(value: float | Sequence[float] | None, num_devices: int) -> float | torch.Tensor | None:
+    """A setting of all devices, or a list of them dealt out to the devices in turn, [I]."""
+    return deal(value, num_devices) if isinstance(value, (tuple, list)) else value
+
+
 def schedule(
     plant: Plant,
+    num_devices: int,
     scheduler: str | SchedulerFunction,
     radio: Radio,
     model: Controller | None,
@@ -99,7 +111,7 @@ def schedule(
     return Scheduler(
         decide,
         resource_blocks=radio.resource_blocks,
-        payload_bits=bits,
+        payload_bits=dealt(bits, num_devices),
         units=None if bits is None else radio.units(plant.spec.slot),
         sampling_interval=plant.spec.slot,
         csi=radio.csi,
@@ -110,6 +122,8 @@ def schedule(
         decoding=radio.decoding(packet_bits(radio, plant.spec, model, codec) if needs_bits else None),
         demand=radio.demand,
         outcome_keys=ACKNOWLEDGED if radio.ack_loss else outcome_keys(radio),
+        weight=dealt(radio.priority, num_devices),
+        age_cost=cost_of_age(plant, num_devices) if scheduler in BY_COST else None,
     )
 
 
@@ -118,7 +132,7 @@ def outcome_keys(radio: Radio) -> tuple[str, str]:
     return AT_CONTROLLER if radio.delay is None else AT_BASE_STATION
 
 
-def after_uplink(plant: Plant, radio: Radio, seed: int) -> list[nn.Module]:
+def after_uplink(plant: Plant, num_devices: int, radio: Radio, seed: int) -> list[nn.Module]:
     """What happens to an update that the base station has, and what it has cost."""
     chain = []
     if radio.ack_loss:
@@ -127,7 +141,7 @@ def after_uplink(plant: Plant, radio: Radio, seed: int) -> list[nn.Module]:
         law = None if radio.delay == "trace" else radio.delay
         chain.append(Delay(law, radio.delay_horizon, plant.spec.slot, seed))
     if radio.energy is not None:
-        target = None if radio.trace else radio.snr_target_db
+        target = None if radio.trace else dealt(radio.snr_target_db, num_devices)
         chain.append(Energy(radio.energy, radio.tx_power_dbm, target))
     return chain
 

@@ -14,6 +14,7 @@ from tsjepa.radio.energy import EnergyModel
 from tsjepa.radio.link import db_to_linear
 from tsjepa.radio.links import AdaptedDecoding, McsLink, ShannonLink
 from tsjepa.radio.posterior import fading_correlation
+from tsjepa.radio.urgency import UrgencyCode
 from tsjepa.support.checks import at_least, within
 
 FULL_BANDWIDTH_MHZ = 20.0
@@ -46,19 +47,47 @@ class Downlink:
 
 
 @dataclass(frozen=True)
+class Requests:
+    """How devices tell the base station of their urgency, in every slot.
+
+    Args:
+        bits: of a request.
+        smallest: urgency below which a device says that it needs nothing, as a part of the actuator's range.
+        full_scale: urgency of the last code; the codes between are even in decibels.
+        delay: slots until a request counts.
+    """
+
+    bits: int = 4
+    smallest: float = 0.005
+    full_scale: float = 1.0
+    delay: int = 1
+
+    def __post_init__(self) -> None:
+        self.code()
+        at_least(0, delay=self.delay)
+
+    def code(self) -> UrgencyCode:
+        """The code of a request."""
+        return UrgencyCode(self.bits, self.full_scale, smallest=self.smallest)
+
+
+@dataclass(frozen=True)
 class Radio:
     """The uplink that the devices share.
+
+    What differs between devices is a list that is dealt out to them in turn: with 3 values device 3 has the first one.
 
     Args:
         resource_blocks: J, devices that may transmit in a slot; None lets each take as many resource units as its
             payload and channel need.
-        payload_bits: bits that the scheduler reserves for an update where ``resource_blocks`` is None; None takes
-            them from the codec, which is possible unless the codec's packets vary in length.
+        payload_bits: bits that the scheduler reserves for an update where ``resource_blocks`` is None, one number or a
+            list; None takes them from the codec, which is possible unless the codec's packets vary in length.
         bandwidth_mhz: where ``resource_blocks`` is None: of 20 MHz, whose 106 resource blocks shrink in proportion.
         codec: of what is sent, see :func:`tsjepa.radio.codecs.make_codec`; a frame codec sends frames and leaves
             the encoder to the controller.
         quality: of JPEG and WebP, 1 to 100; of H.264 the constant rate factor, 0 to 51, lower is better.
-        snr_target_db: mean SNR that power control gives every device; None transmits at ``tx_power_dbm``.
+        snr_target_db: mean SNR that power control gives every device, one number or a list; None transmits at
+            ``tx_power_dbm``.
         tx_power_dbm: fixed transmit power.
         snr_threshold_db: SNR below which a packet is lost.
         csi: what the scheduler knows of the channel: "perfect", "delayed", "statistical", or "acks" alone.
@@ -81,14 +110,16 @@ class Radio:
         trace: file of measured links that replaces the channel's model, see :mod:`tsjepa.radio.traces`.
         trace_stretch: factor on its time axis.
         trace_start_s: seconds into it at which every episode begins; None draws a place.
+        priority: list of weights > 0 by which schedulers that compute a device's gain multiply it; None: all alike.
+        requests: how devices tell their urgency, for the scheduler "urgency" and for functions that read it.
     """
 
     resource_blocks: int | None = 10
-    payload_bits: int | None = None
+    payload_bits: int | tuple[int, ...] | None = None
     bandwidth_mhz: float = FULL_BANDWIDTH_MHZ
     codec: str = "fp32"
     quality: int = 50
-    snr_target_db: float | None = 10.0
+    snr_target_db: float | tuple[float, ...] | None = 10.0
     tx_power_dbm: float = 23.0
     snr_threshold_db: float = 5.0
     csi: str = "perfect"
@@ -108,16 +139,20 @@ class Radio:
     trace: str | None = None
     trace_stretch: float = 1.0
     trace_start_s: float | None = None
+    priority: tuple[float, ...] | None = None
+    requests: Requests | None = None
 
     def __post_init__(self) -> None:
         check_csi(self.csi, self.csi_delay)
         at_least(0, max_doppler_hz=self.max_doppler_hz)
         within(-200, 200, tx_power_dbm=self.tx_power_dbm, snr_threshold_db=self.snr_threshold_db)
-        if self.snr_target_db is not None:
-            within(-200, 200, snr_target_db=self.snr_target_db)
+        for value in _each(self.snr_target_db):
+            within(-200, 200, snr_target_db=value)
         for name in ("resource_blocks", "payload_bits"):
-            if getattr(self, name) is not None:
-                at_least(1, **{name: getattr(self, name)})
+            for value in _each(getattr(self, name)):
+                at_least(1, **{name: value})
+        if not all(value > 0 for value in _each(self.priority)):
+            raise ValueError(f"priority {self.priority} holds a weight that is not above 0")
         at_least(0, interference_rise_db=self.interference_rise_db)
         at_least(1, delay_horizon=self.delay_horizon)
         within(0, 1, ack_loss=self.ack_loss)
@@ -158,3 +193,7 @@ class Radio:
             thresholds = self.link.thresholds(bits)
         again = None if self.harq_ms is None else float(fading_correlation(1e-3 * self.harq_ms, self.max_doppler_hz))
         return Decoding(thresholds, again)
+
+
+def _each(value: float | tuple[float, ...] | None) -> tuple[float, ...]:
+    return () if value is None else tuple(value) if isinstance(value, tuple | list) else (value,)

@@ -23,7 +23,7 @@ def summary(scheduler: str, runs: list[Run], optimal: Tensor) -> dict:
         arrived = sum(int(outcome.delivered.sum()) for outcome in runs)
         spent = sum(float(outcome.energy_j.double().sum()) for outcome in runs)
         energy["joules_per_update"] = spent / arrived if arrived else None
-    return {
+    row = {
         "scheduler": scheduler,
         "normalized_score": mean,
         "interval_95": half,
@@ -37,6 +37,9 @@ def summary(scheduler: str, runs: list[Run], optimal: Tensor) -> dict:
         **energy,
         "age_counts": torch.bincount(ages.flatten() - 1).tolist(),
     }
+    if runs[0].signalling_bits is not None:
+        row["signalling_bits_per_device_and_slot"] = _mean(runs, lambda outcome: outcome.signalling_bits)
+    return row
 
 
 def device_rows(scheduler: str, runs: list[Run], optimal: Tensor) -> list[dict]:

@@ -22,6 +22,7 @@ from tsjepa.radio.schedulers import SchedulerFunction, periodic
 ONCE = 0  # as an update period: one update at the first slot, none after it
 HELD_OUT = 1_000_000  # seeds of the evaluation's starts; every other stream has a key of 63 bits with the top one set
 RECORDED = ("scheduled", "delivered", "age_of_information", "payload_bits")
+SIGNALLED = "signalling_bits"  # where devices say how urgent they are
 
 Watch = Callable[[int, TensorDictBase], None]
 
@@ -103,6 +104,7 @@ def run(loop: Loop, seed: int, watch: Watch | None = None, env: TransformedEnv |
     in_units = loop.radio.resource_blocks is None
     keys = (*RECORDED, *["resource_units"] * in_units, *["energy_j"] * (loop.radio.energy is not None))
     now = env.reset()
+    keys = (*keys, SIGNALLED) if SIGNALLED in now else keys
     states, actions, scores, records, references = [now["state"]], [], [], [], []
     for slot in range(loop.slots):
         records.append(now.select(*keys))
@@ -140,6 +142,7 @@ def _recorded(
         delivered=record["delivered"],
         age=record["age_of_information"],
         payload_bits=record["payload_bits"],
+        signalling_bits=record.get(SIGNALLED, None),
         used=(record["resource_units"] if in_units else record["scheduled"]).sum(-1),
         capacity=capacity,
         cost=None if cost is None else cost(state[1:], action, reference),

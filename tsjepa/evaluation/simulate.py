@@ -65,6 +65,7 @@ def simulate(
     frame_history: int = 2,
     seeds: int = 5,
     search_over: Sequence[int] = (),
+    search_resolution: int = 1,
     acceptable_score: float = 0.74,
     output: str = "runs/fleet",
     video: bool = True,
@@ -86,6 +87,8 @@ def simulate(
         frame_history: slots up to step 0, the warm-up at rest; at least those of the model's stack.
         seeds: how many seeds of plants and channels, at least 2.
         search_over: fleet sizes, ascending, between which the largest acceptable one is searched for.
+        search_resolution: devices between two sizes of which the search tries none between them; the crossing is then
+            interpolated.
         acceptable_score: normalised score that the mean over the fleet has to keep.
         output: folder of the results.
         video: make the film.
@@ -98,7 +101,7 @@ def simulate(
     if num_devices is None and not search_over:
         raise ValueError("Nothing to do: give num_devices, search_over, or both.")
     at_least(2, seeds=seeds)
-    at_least(1, slots=slots, frame_history=frame_history)
+    at_least(1, slots=slots, frame_history=frame_history, search_resolution=search_resolution)
     if search_over:
         sizes_served.check_sizes(search_over)
     if isinstance(schedulers, str) or not schedulers:
@@ -136,7 +139,7 @@ def simulate(
     if num_devices is not None:
         result["fleet"] = one_fleet(experiment, num_devices, video)
     if search_over:
-        result["search"] = search(experiment, search_over, code_hash(type(machine), *functions))
+        result["search"] = search(experiment, search_over, code_hash(type(machine), *functions), search_resolution)
     print(f"Figures and plots are in {folder}.")
     return result
 
@@ -205,7 +208,7 @@ def one_fleet(experiment: Experiment, count: int, video: bool) -> dict:
     return result
 
 
-def search(experiment: Experiment, sizes: Sequence[int], code: str) -> dict:
+def search(experiment: Experiment, sizes: Sequence[int], code: str, resolution: int = 1) -> dict:
     """The largest acceptable fleet of every scheduler, with its files; ``code`` tells two states of the code apart."""
     made, folder, optimal = experiment.made, experiment.folder, experiment.optimal
     depends_on = {key: made[key] for key in ("settings", "model_sha256", "optimal_policy")} | {"code": code}
@@ -238,7 +241,7 @@ def search(experiment: Experiment, sizes: Sequence[int], code: str) -> dict:
 
     acceptable = made["acceptable_score"]
     with tqdm(desc="fleets", unit="fleet") as progress:
-        curves = sizes_served.search(score, list(experiment.schedulers), sizes, acceptable)
+        curves = sizes_served.search(score, list(experiment.schedulers), sizes, acceptable, resolution)
     result = made | {"largest": sizes_served.largest(curves, acceptable), "points": points}
     write_json(folder / "search.json", result, indent=1)
     journal.path.unlink()

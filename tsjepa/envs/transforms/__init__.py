@@ -1,7 +1,8 @@
 """The chain from plant to controller, one TorchRL transform per box.
 
 Order in a ``Compose``: Drive, Channel (or TraceChannel), Scheduler, Camera, Encode, Codec, Uplink, Acknowledge, Delay,
-Energy, Actuator, Estimator, HoldCommand; leave out what the experiment does not have.
+Energy, Actuator, Estimator, HoldCommand; leave out what the experiment does not have. Where devices watch all the time,
+Camera, Encode and Urgency stand before the Scheduler; so does ExpectedGain.
 """
 
 from tsjepa.envs.transforms.actuator import Actuator
@@ -14,6 +15,7 @@ from tsjepa.envs.transforms.estimator import Estimator, HoldCommand, linear_mode
 from tsjepa.envs.transforms.scheduler import Scheduler
 from tsjepa.envs.transforms.trace_channel import TraceChannel
 from tsjepa.envs.transforms.uplink import Codec, Uplink
+from tsjepa.envs.transforms.urgency import ExpectedGain, Twin, Urgency
 
 __all__ = [
     "Acknowledge",
@@ -26,9 +28,12 @@ __all__ = [
     "Encode",
     "Energy",
     "Estimator",
+    "ExpectedGain",
     "HoldCommand",
     "Scheduler",
     "TraceChannel",
+    "Twin",
     "Uplink",
+    "Urgency",
     "linear_model",
 ]

@@ -28,7 +28,7 @@ class Channel(SlotTransform):
     Args:
         deployment: positions and large-scale propagation.
         tx_power_dbm: transmit power, unless ``snr_target_db`` is given.
-        snr_target_db: power control that brings the mean SNR of every device to this target.
+        snr_target_db: power control that brings the mean SNR of every device to this target; one, or one a device [I].
         bandwidth_hz: bandwidth one transmission uses; the noise is in proportion.
         fading: "rayleigh" or "none".
         max_doppler_hz: 0 for fading that is independent from slot to slot, else the Doppler shift of Jakes' spectrum.
@@ -46,7 +46,7 @@ class Channel(SlotTransform):
         self,
         deployment: Deployment = Deployment(),  # noqa: B008 - frozen
         tx_power_dbm: float = 23.0,
-        snr_target_db: float | None = None,
+        snr_target_db: float | Tensor | None = None,
         bandwidth_hz: float = BLOCK_BANDWIDTH_HZ,
         fading: str = "rayleigh",
         max_doppler_hz: float = 0.0,

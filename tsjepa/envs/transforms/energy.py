@@ -19,10 +19,10 @@ class Energy(SlotTransform):
     Args:
         model: joules and watts.
         tx_power_dbm: power in one resource block, unless ``snr_target_db`` is given and there is a path loss.
-        snr_target_db: mean SNR that power control reaches.
+        snr_target_db: mean SNR that power control reaches; one, or one a device [I].
     """
 
-    def __init__(self, model: EnergyModel, tx_power_dbm: float = 23.0, snr_target_db: float | None = None):
+    def __init__(self, model: EnergyModel, tx_power_dbm: float = 23.0, snr_target_db: float | Tensor | None = None):
         super().__init__(in_keys=[], out_keys=["energy_j"])
         self.model, self.tx_power_dbm, self.snr_target_db = model, tx_power_dbm, snr_target_db
 

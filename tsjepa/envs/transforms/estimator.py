@@ -110,7 +110,15 @@ class Estimator(SlotTransform):
 
 
 def linear_model(a: Tensor, b: Tensor) -> Callable[[Tensor, Tensor], Tensor]:
-    """The prediction x' = A x + B u for rows of x [*B, n] and u [*B, m], with A [n, n] and B [n, m]."""
+    """The prediction x' = A x + B u for rows of x [*B, n] and u [*B, m], with A [n, n] and B [n, m].
+
+    Of several A [kinds, n, n] and B [kinds, n, m], device i, the last dimension of B, has those of ``i % kinds``.
+    """
+    if a.ndim == 3:
+        return lambda belief, action: sum(
+            (matrix[torch.arange(rows.shape[-2]) % len(matrix)].to(rows) @ rows.unsqueeze(-1)).squeeze(-1)
+            for matrix, rows in ((a, belief), (b, action))
+        )
 
     def predict(belief: Tensor, action: Tensor) -> Tensor:
         return belief @ a.to(belief).mT + action @ b.to(belief).mT
