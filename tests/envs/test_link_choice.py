@@ -18,7 +18,10 @@ from tsjepa.radio.links import AdaptedDecoding, McsLink
 from tsjepa.radio.mcs import block_error_rate
 
 THRESHOLD, MEAN = 10**0.5, 10**0.8
-REPEATED = Channel(snr_target_db=8.0, repetition_s=0.008)
+
+
+def repeating():
+    return Channel(snr_target_db=8.0, repetition_s=0.008)
 
 
 def rollout(*transforms, slots=60, devices=100):
@@ -43,7 +46,7 @@ def test_interference_as_strong_as_the_noise_halves_the_sinr():
 
 
 def test_one_repetition_leaves_the_residual_outage_of_independent_fading():
-    data = rollout(REPEATED, Uplink(in_key=None, repeats=True))
+    data = rollout(repeating(), Uplink(in_key=None, repeats=True))
     expected = residual_outage(THRESHOLD, MEAN, MEAN).item()
     assert share(~data["delivered"]) == pytest.approx(expected, abs=standard_errors(expected, data["delivered"]))
     first = outage_probability(THRESHOLD, MEAN).item()
@@ -65,7 +68,7 @@ def test_success_is_predicted_with_the_repetition():
     """What is scheduled by perfect knowledge below the threshold still arrives by its repetition now and then."""
     belief = Decoding((THRESHOLD,), repetition=0.0)
     data = rollout(
-        REPEATED, Scheduler("channel_aware", 80, decoding=belief), Uplink(in_key=None, repeats=True), slots=100
+        repeating(), Scheduler("channel_aware", 80, decoding=belief), Uplink(in_key=None, repeats=True), slots=100
     )
     hopeless = data["scheduled"] & (data["snr"] < THRESHOLD)
     assert hopeless.sum() > 300
@@ -111,7 +114,7 @@ def test_joules_by_hand():
 
 
 def test_power_control_and_repetitions_are_counted():
-    data = rollout(REPEATED, Uplink(in_key=None, repeats=True), Energy(EnergyModel(), snr_target_db=8.0), slots=4)
+    data = rollout(repeating(), Uplink(in_key=None, repeats=True), Energy(EnergyModel(), snr_target_db=8.0), slots=4)
     watts = 10 ** (tx_power_for_target_dbm(data["path_loss_db"], 8.0, BLOCK_BANDWIDTH_HZ) / 10 - 3)
     expected = 1e-3 * watts * data["transmissions"]
     torch.testing.assert_close(data["energy_j"].double(), expected, atol=0, rtol=1e-6)
