@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tiny
+import torch
 
 import tsjepa
 from tsjepa import cli
@@ -20,6 +21,14 @@ PRODUCERS = {tiny.exported(recipe): name for name, recipe in LOADED.items() if t
 FITS = ("recipes/jepa.yaml", "recipes/actor.yaml", "recipes/supervised.yaml", "recipes/autoencoder.yaml")
 # of these a checkpoint holds what makes commands; an autoencoder's law follows when the fit ends
 COMMANDING_FITS = ("recipes/actor.yaml", "recipes/supervised.yaml")
+
+# what no finish changes of that which a fit trains
+LEARNT = {
+    "recipes/jepa.yaml": "encoder.stages.",
+    "recipes/actor.yaml": "model.actor.",
+    "recipes/supervised.yaml": "model.actor.",
+    "recipes/autoencoder.yaml": "model.encoder.",
+}
 
 
 def names(command: str) -> list[str]:
@@ -68,6 +77,19 @@ def test_a_fit_leaves_a_model_that_loads_a_checkpoint_and_a_log(run, name):
         rows = list(csv.DictReader(file))
     assert any(key.startswith("val/") and row[key] for row in rows for key in row)
     assert not list(home.rglob("*.partial"))
+
+
+@pytest.mark.parametrize("name", FITS)
+def test_a_fit_takes_every_step_of_its_schedule_and_exports_the_last_weights(run, name):
+    """Nothing ends it early: the schedule has cooled down, which is what makes the last weights the ones to keep."""
+    home = Path(tiny.exported(run(name))).parent
+    last, model = torch.load(home / "checkpoints" / "last.ckpt"), tsjepa.load(home / "model")
+    assert last["epoch"] + 1 == tiny.SIZES["max_epochs"]
+    assert not any("EarlyStopping" in callback for callback in last["callbacks"])
+    assert all(abs(rate) < 1e-9 for schedule in last["lr_schedulers"] for rate in schedule["_last_lr"])
+    learnt = {key: value for key, value in last["state_dict"].items() if key.startswith(LEARNT[name])}
+    assert learnt
+    assert all(torch.equal(model.state_dict()[key.removeprefix("model.")], learnt[key]) for key in learnt)
 
 
 @pytest.mark.parametrize("name", names("collect"))

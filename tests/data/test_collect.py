@@ -6,6 +6,7 @@ import torch
 
 from tsjepa.data.collect import Coverage, Split, collect
 from tsjepa.data.storage import METADATA, content_hash, open_split, read_metadata
+from tsjepa.evaluation.conditions import warn_of_another_renderer
 from tsjepa.plants import CartPole, Reacher
 from tsjepa.plants.renderer import Renderer
 
@@ -37,6 +38,14 @@ def test_a_warm_up_runs_without_force_and_the_expert_takes_over_after_it(tmp_pat
     split = open_split(collect(str(tmp_path / "warm"), PLANT, SPLITS, slots=6, warmup_slots=2, seed=7), "test")
     assert (split["action"][:, :2] == 0).all()
     assert torch.equal(split["action"][:, 2:-1], split["expert_action"][:, 2:-1])
+
+
+def test_its_metadata_says_who_drew_the_pictures_and_a_model_that_meets_another_is_warned(folder, capsys):
+    camera = read_metadata(folder)["camera"]
+    assert camera == json.loads(json.dumps(PLANT.camera()))
+    assert camera["gl_renderer"]
+    warn_of_another_renderer({"gl_renderer": "another"}, read_metadata(folder))
+    assert camera["gl_renderer"] in capsys.readouterr().err
 
 
 def test_the_same_seed_gives_the_same_bytes_and_another_seed_does_not(folder, tmp_path):

@@ -68,6 +68,8 @@ def test_every_kind_of_model_controls_a_fleet_of_its_own_plants_and_is_filmed(tm
     )
     assert result["fleet"]["settings"]["plant"]["class_path"] == "tsjepa.plants.CartPole"
     assert result["fleet"]["model_sha256"] == entries.fingerprint(entry)
+    written = json.loads((tmp_path / "fleet.json").read_text())
+    assert written["camera"]["gl_renderer"] == PLANT.camera()["gl_renderer"]
     (row,) = result["fleet"]["schedulers"]
     assert row["bits_per_device_and_slot"] == pytest.approx(32 * tiny_controller.DIM * 2 / 6)
     film = cv2.VideoCapture(str(tmp_path / "fleet.mp4"))

@@ -90,6 +90,25 @@ def test_points_are_evaluated_again_with_other_weights_and_wait_for_a_model_that
     assert calls(folder) == [0, 1, 0]
 
 
+def test_points_of_other_code_are_evaluated_again_and_those_of_the_same_kept(folder, monkeypatch):
+    records = run(folder, 2)
+    assert all(record["code"] == sweep.code_hash(toy_figure)[:12] for record in records)
+    with monkeypatch.context() as patch:
+        patch.setattr(sweep, "code_hash", lambda *others: "edited" * 4)
+        (folder / "interrupt").touch()
+        with pytest.raises(KeyboardInterrupt):
+            run(folder, 3)
+        (folder / "interrupt").unlink()
+        assert calls(folder) == [0, 1, 0, 1]
+        run(folder, 3)
+        assert calls(folder) == [0, 1, 0, 1, 2]
+    # records that do not say by which code they were made are made anew
+    old = [{name: value for name, value in record.items() if name != "code"} for record in records]
+    store.write(folder / "results", "toy_figure", old)
+    assert numbers(run(folder, 2)) == numbers(records)
+    assert calls(folder) == [0, 1, 0, 1, 2, 0, 1]
+
+
 def test_points_that_train_are_evaluated_again_by_other_recipes_and_not_checked_against_them(folder, monkeypatch):
     monkeypatch.chdir(folder)
     (folder / "jepa.yaml").write_text("steps: 1")

@@ -1,4 +1,4 @@
-"""Everything that a fit computes, it computes on the trainer's device; a GPU is not needed to see that."""
+"""A fit computes on the trainer's device and a loop on its model's; a GPU is not needed to see that."""
 
 from contextlib import nullcontext
 
@@ -13,7 +13,10 @@ from tsjepa.data import module as data_module
 from tsjepa.data.augmentation import Augmentation
 from tsjepa.data.module import Trajectories
 from tsjepa.data.storage import open_split
+from tsjepa.envs import Radio
+from tsjepa.evaluation.rollouts import Loop, every, run
 from tsjepa.models import Decoder, Encoder, Predictor, entries
+from tsjepa.plants import CartPole
 from tsjepa.training.actor import SemanticActor
 from tsjepa.training.autoencoder import Autoencoder, FitEstimator
 from tsjepa.training.callbacks import ExportModel
@@ -76,3 +79,17 @@ def test_a_fit_and_its_finishes_compute_on_the_trainers_device(tmp_path, monkeyp
     # the result is on the CPU again, where it was saved from
     assert all(tensor.device.type == "cpu" for tensor in module.controller().state_dict().values())
     assert entries.load(tmp_path / "model").embedding_dim == D
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("codec", ["fp32", "jpeg"])
+def test_a_loop_computes_on_the_models_device_whoever_encodes(codec):
+    """``--device`` of evaluate and simulate: frames and embeddings go to where the weights lie, and come back."""
+    model = tiny_controller.tiny()
+    loop = every(Loop(CartPole(), model, num_devices=2, slots=3, radio=Radio(codec=codec, lossless=True)), 1)
+    model.to(fake_accelerator.META)
+    with fake_accelerator.FakeAccelerator() as accelerator:
+        outcome = run(loop, 0)
+    assert accelerator.products["meta"] > 50
+    assert accelerator.products["cpu"] == 0
+    assert outcome.state.device.type == outcome.action.device.type == "cpu"

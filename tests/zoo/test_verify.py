@@ -201,7 +201,10 @@ def test_none_may_fall_where_none_fell_and_all_where_all_did():
     ("damage", "said"),
     [
         (lambda folder: (folder / entries.WEIGHTS).write_bytes(b""), "is not the file that the manifest names"),
-        (lambda folder: (folder / entries.WEIGHTS).write_text(POINTER), "is a pointer of Git LFS"),
+        (lambda folder: (folder / entries.WEIGHTS).write_text(POINTER), "model.safetensors is a pointer of Git LFS"),
+        (lambda folder: (folder / entries.MANIFEST).write_text(POINTER), "manifest.json is a pointer of Git LFS"),
+        (lambda folder: (folder / entries.MANIFEST).unlink(), "manifest.json is missing"),
+        (lambda folder: (folder / entries.MANIFEST).write_text("[]"), "manifest.json is unreadable"),
         (lambda folder: entries.save(tiny(), folder), "do not say how it scored"),
         (lambda folder: entries.save(tiny(), folder, {"closed_loop": []}), "do not say how it scored"),
     ],
@@ -276,6 +279,13 @@ def test_the_list_says_what_the_card_says():
         for score, _, failures in scores:
             assert score in shown
             assert f"{failures} of 100" in shown
+
+
+def test_the_page_of_measured_entries_says_what_the_list_says():
+    page = Path(__file__).parents[2] / "docs" / "results" / "zoo.md"
+    lines = [line for line in page.read_text().splitlines() if line.startswith("| `")]
+    shown = {line.split("`")[1]: [cell.strip() for cell in line.strip("|").split("|")][1:] for line in lines}
+    assert shown == {name: list(key_figures(name).values())[1:-1] for name in entries.names()}  # all but the size
 
 
 def test_a_card_says_what_the_figures_say():

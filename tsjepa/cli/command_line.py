@@ -17,7 +17,7 @@ from pathlib import Path
 from tsjepa.cli.errors import exit_status, explain
 from tsjepa.support.files import exclusive
 from tsjepa.support.recipes import parse_arguments
-from tsjepa.support.trust import TRUST, restrict_recipes
+from tsjepa.support.trust import TRUST, everything_trusted, restrict_recipes
 
 LIGHTNING_COMMANDS = {
     "fit": "train a model",
@@ -69,12 +69,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
             print(_help(program), flush=True)
         elif command == "--version":
             print(f"tsjepa {importlib.metadata.version('tsjepa')}")
-        elif command in LIGHTNING_COMMANDS:
-            from tsjepa.training.run import run_lightning
+        elif command in {**LIGHTNING_COMMANDS, **COMMANDS}:
+            with everything_trusted() if trusted else nullcontext():
+                if command in LIGHTNING_COMMANDS:
+                    from tsjepa.training.run import run_lightning
 
-            run_lightning(command, options, program, trusted)
-        elif command in COMMANDS:
-            run_command(command, options, program)
+                    run_lightning(command, options, program, trusted)
+                else:
+                    run_command(command, options, program)
         else:
             given = f"there is no command '{command}'" if command else "a command is missing"
             known = ", ".join([*LIGHTNING_COMMANDS, *COMMANDS])

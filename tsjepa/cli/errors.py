@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import dis
+import linecache
 from pathlib import Path
 from types import TracebackType
 
@@ -65,4 +65,4 @@ def _is_raised_here(error: BaseException) -> bool:
     frame = _innermost_frame(error)
     if frame is None or _PACKAGE not in Path(frame.tb_frame.f_code.co_filename).parents:
         return False
-    return dis.opname[frame.tb_frame.f_code.co_code[frame.tb_lasti]] == "RAISE_VARARGS"
+    return linecache.getline(frame.tb_frame.f_code.co_filename, frame.tb_lineno).lstrip().startswith("raise ")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -23,7 +22,7 @@ from tsjepa.evaluation.rollouts import ONCE, Loop, every, perfect_feedback, run
 from tsjepa.evaluation.summary import score_by_slot, summary, table, watched_figures
 from tsjepa.plants import Plant, describe_plant
 from tsjepa.support.checks import at_least, within
-from tsjepa.support.files import write_text
+from tsjepa.support.files import write_json
 from tsjepa.support.provenance import machine as computer
 from tsjepa.support.provenance import provenance
 
@@ -102,7 +101,7 @@ def evaluate(
         print(NO_DATA)
     folder = Path(output)
     folder.mkdir(parents=True, exist_ok=True)
-    write_text(folder / "evaluation.json", json.dumps(result, indent=2) + "\n")
+    write_json(folder / "evaluation.json", result)
     print(table(result))
     if loop is not None:
         pictures(loop, result, folder, video)

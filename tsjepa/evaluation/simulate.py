@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -26,7 +25,7 @@ from tsjepa.models import Controller, entries
 from tsjepa.plants import Plant, describe_plant
 from tsjepa.radio.schedulers import SchedulerFunction, get_scheduler
 from tsjepa.support.checks import at_least
-from tsjepa.support.files import write_text
+from tsjepa.support.files import write_json, write_text
 from tsjepa.support.journal import Journal
 from tsjepa.support.provenance import code_hash, provenance
 
@@ -184,7 +183,7 @@ def one_fleet(experiment: Experiment, count: int, video: bool) -> dict:
     rows = [summary(scheduler, of_scheduler, optimal) for scheduler, of_scheduler in runs.items()]
     devices = [row for scheduler, of_scheduler in runs.items() for row in device_rows(scheduler, of_scheduler, optimal)]
     result = experiment.made | {"num_devices": count, "schedulers": rows}
-    write_text(folder / "fleet.json", json.dumps(result, indent=1) + "\n")
+    write_json(folder / "fleet.json", result, indent=1)
     write_text(folder / "devices.csv", as_csv(devices))
     device_plot(devices, folder / "scores.png")
     age_plot(rows, folder / "ages.png")
@@ -229,7 +228,7 @@ def search(experiment: Experiment, sizes: Sequence[int], code: str) -> dict:
     with tqdm(desc="fleets", unit="fleet") as progress:
         curves = sizes_served.search(score, list(experiment.schedulers), sizes, acceptable)
     result = made | {"largest": sizes_served.largest(curves, acceptable), "points": points}
-    write_text(folder / "search.json", json.dumps(result, indent=1) + "\n")
+    write_json(folder / "search.json", result, indent=1)
     journal.path.unlink()
     capacity_plot(result, folder / "search.png")
     print(sizes_served.table(result["largest"]))

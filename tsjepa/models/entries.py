@@ -76,25 +76,38 @@ def verify(folder: Path, sha256: str | None = None) -> None:
     Raises:
         DamagedEntryError: naming the first file that is missing or differs.
     """
-    try:
-        manifest = json.loads((folder / MANIFEST).read_text())
-        expected = {name: manifest["sha256"][name] for name in HASHED}
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise DamagedEntryError(f"{folder / MANIFEST} is missing or unreadable; fetch the entry anew.") from error
+    expected = digests(folder)
     if sha256 is not None and fingerprint(folder) != sha256.lower():
         raise DamagedEntryError(
             f"{folder / MANIFEST} has the SHA-256 {fingerprint(folder)}, not {sha256}: this is another entry, or "
             "another version; give the SHA-256 of this one, or fetch the entry anew."
         )
     for name, digest in expected.items():
-        path = folder / name
-        if not path.is_file():
-            raise DamagedEntryError(f"{path} is missing; fetch the entry anew.")
-        content = path.read_bytes()
-        if content.startswith(LFS_POINTER):
-            raise DamagedEntryError(f"{path} is a pointer of Git LFS instead of the file itself: run `git lfs pull`.")
-        if hashlib.sha256(content).hexdigest() != digest:
-            raise DamagedEntryError(f"{path} is not the file that the manifest names; fetch the entry anew.")
+        if hashlib.sha256(_content(folder / name)).hexdigest() != digest:
+            raise DamagedEntryError(f"{folder / name} is not the file that the manifest names; fetch the entry anew.")
+
+
+def digests(folder: Path) -> dict[str, str]:
+    """SHA-256 of an entry's files as its manifest has them, by name.
+
+    Raises:
+        DamagedEntryError: the manifest is missing, unreadable, or a pointer of Git LFS.
+    """
+    content = _content(folder / MANIFEST)
+    try:
+        manifest = json.loads(content)
+        return {name: manifest["sha256"][name] for name in HASHED}
+    except (ValueError, KeyError, TypeError) as error:
+        raise DamagedEntryError(f"{folder / MANIFEST} is unreadable; fetch the entry anew.") from error
+
+
+def _content(path: Path) -> bytes:
+    if not path.is_file():
+        raise DamagedEntryError(f"{path} is missing; fetch the entry anew.")
+    content = path.read_bytes()
+    if content.startswith(LFS_POINTER):
+        raise DamagedEntryError(f"{path} is a pointer of Git LFS instead of the file itself: run `git lfs pull`.")
+    return content
 
 
 def load(name_or_path: str | Path, sha256: str | None = None, trusted: bool = False) -> nn.Module:

@@ -7,7 +7,6 @@ gate they never do, and the mean age grows by the share of forgotten devices in 
 
 from __future__ import annotations
 
-import json
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
@@ -16,7 +15,7 @@ import numpy as np
 
 from tsjepa.evaluation.fleet_pictures import age_growth_plot
 from tsjepa.radio import SCHEDULERS, simulate_ages
-from tsjepa.support.files import write_text
+from tsjepa.support.files import write_json
 from tsjepa.support.provenance import provenance
 
 CASES = (
@@ -79,7 +78,7 @@ def age_growth(
     }
     folder = Path(output)
     folder.mkdir(parents=True, exist_ok=True)
-    write_text(folder / "age.json", json.dumps(result, indent=1) + "\n")
+    write_json(folder / "age.json", result, indent=1)
     age_growth_plot(result, folder / "age.png")
     for trace in traces:
         print(

@@ -32,8 +32,8 @@ def figures(
     Args:
         figure: name of one, all of them by default.
         settings: of its sweep; those of recipes/figures/FIGURE.yaml by default.
-        recompute: run the sweep: points that are recorded, with the same weights and recipes, are kept. Delete the
-            figure's .json file to run all of it anew.
+        recompute: run the sweep: points that are recorded, with the same weights, recipes and code, are kept, so that
+            an interrupted sweep goes on. Delete the figure's .json file to run all of it anew.
         check: run the quickest recorded point of each sweep again, and fail unless it lies in its recorded interval.
         launcher: one point after the other, over processes, or over a Ray cluster (extra `ray`).
         workers: processes at a time, by default one a core.

@@ -7,7 +7,7 @@ import io
 import json
 from pathlib import Path
 
-from tsjepa.support.files import write_text
+from tsjepa.support.files import json_text, write_text
 
 DIGITS = 6
 
@@ -16,8 +16,9 @@ def read(folder: str | Path, figure: str) -> list[dict]:
     """The records of a figure, none where nothing was recorded.
 
     A record has ``point``, ``rows``, ``seconds`` (that it took), ``made_by`` (command, commit, date, and where its rows
-    were computed anew from what was recorded, ``restated``: how) and ``weights``
-    (of every model of the zoo and every recipe that it used, the first digits of the hash).
+    were computed anew from what was recorded, ``restated``: how), ``weights``
+    (of every model of the zoo and every recipe that it used, the first digits of the hash) and ``code`` (the first
+    digits of the hash of the package's source).
     """
     path = Path(folder) / f"{figure}.json"
     return json.loads(path.read_text())["records"] if path.is_file() else []
@@ -27,8 +28,9 @@ def write(folder: str | Path, figure: str, records: list[dict]) -> None:
     """Replaces both files; a reader finds the old ones or the new."""
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    lines = ",\n".join(json.dumps(record) for record in records)
-    write_text(folder / f"{figure}.json", f'{{"figure": "{figure}", "records": [\n{lines}\n]}}\n')
+    path = folder / f"{figure}.json"
+    lines = ",\n".join(json_text(path, record) for record in records)
+    write_text(path, f'{{"figure": "{figure}", "records": [\n{lines}\n]}}\n')
     write_text(folder / f"{figure}.csv", tidy(records))
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from hashlib import sha256
 from pathlib import Path
 from types import ModuleType
@@ -14,7 +13,7 @@ from tsjepa.models import entries
 from tsjepa.paper import store
 from tsjepa.paper.launchers import launch
 from tsjepa.support.files import exclusive
-from tsjepa.support.provenance import provenance
+from tsjepa.support.provenance import code_hash, provenance
 from tsjepa.support.recipes import find_recipe
 
 HASH_DIGITS = 12
@@ -24,7 +23,7 @@ SLACK = 1e-3  # relative; what another processor's arithmetic may change where t
 def run_sweep(
     module: ModuleType, points: list[dict], folder: str | Path, launcher: str = "serial", workers: int = 2
 ) -> list[dict]:
-    """Evaluates the points that are not recorded yet, or were with other weights or recipes; returns all records.
+    """Evaluates the points that are not recorded yet, or were by other weights, recipes or code; returns all records.
 
     The file follows the sweep: points that it no longer has are dropped. Points whose model the zoo lacks are left out
     and named in one sentence.
@@ -43,7 +42,7 @@ def run_sweep(
 
 
 def _run(module: ModuleType, points: list[dict], folder: str | Path, launcher: str, workers: int) -> list[dict]:
-    figure = module.__name__.rpartition(".")[2]
+    figure, code = module.__name__.rpartition(".")[2], code_hash(module)[:HASH_DIGITS]
     recorded = {store.key(record["point"]): record for record in store.read(folder, figure)}
     keys = [store.key(point) for point in points]
     stale = len(set(recorded) - set(keys))
@@ -58,7 +57,7 @@ def _run(module: ModuleType, points: list[dict], folder: str | Path, launcher: s
         point
         for key, point in zip(keys, points, strict=True)
         if not set(models_of(point)) & set(missing)
-        and (key not in recorded or recorded[key]["weights"] != all_weights(point))
+        and (key not in recorded or made_of(recorded[key]) != (code, all_weights(point)))
     ]
     origin, weights = provenance(), [all_weights(point) for point in todo]
     outcomes = launch(module.__name__, todo, launcher, workers)
@@ -68,10 +67,16 @@ def _run(module: ModuleType, points: list[dict], folder: str | Path, launcher: s
             "rows": store.rounded(rows),
             "seconds": round(seconds, 1),
             "weights": weights[index],
+            "code": code,
             "made_by": origin,
         }
         store.write(folder, figure, [recorded[key] for key in keys if key in recorded])
     return [recorded[key] for key in keys if key in recorded]
+
+
+def made_of(record: dict) -> tuple[str | None, dict]:
+    """What decides a recorded point's rows: the code (None in a record that does not say) and the weights."""
+    return record.get("code"), record["weights"]
 
 
 def models_of(point: dict) -> list[str]:
@@ -82,10 +87,9 @@ def models_of(point: dict) -> list[str]:
 def weights_of(model: str) -> str | None:
     """First digits of the hash of an entry's weights; None where there is no such entry."""
     try:
-        manifest = json.loads((entries.find(model) / entries.MANIFEST).read_text())
+        return entries.digests(entries.find(model))[entries.WEIGHTS][:HASH_DIGITS]
     except FileNotFoundError:
         return None
-    return manifest["sha256"][entries.WEIGHTS][:HASH_DIGITS]
 
 
 def all_weights(point: dict) -> dict[str, str | None]:

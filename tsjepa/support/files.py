@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import ctypes
+import json
+import math
 import os
 import shutil
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 AT_FDCWD, RENAME_EXCHANGE = -100, 2  # of Linux's fcntl.h
 
@@ -19,6 +22,40 @@ def write_text(path: str | Path, text: str) -> None:
     partial = path.with_name(path.name + ".partial")
     partial.write_text(text)
     os.replace(partial, path)
+
+
+def write_json(path: str | Path, value: Any, indent: int = 2) -> None:
+    """Writes ``value`` as :func:`write_text` does.
+
+    Raises:
+        ValueError: a number in it is not finite; what was there stays.
+    """
+    write_text(path, json_text(path, value, indent) + "\n")
+
+
+def json_text(path: str | Path, value: Any, indent: int | None = None) -> str:
+    """``value`` as the JSON that ``path`` is to hold. JSON has no NaN, and many readers refuse it.
+
+    Raises:
+        ValueError: naming the first number that is not finite.
+    """
+    where = _not_finite(value)
+    if where is not None:
+        raise ValueError(f"{path} is not written: {where} in it is not finite, so that the result means nothing.")
+    return json.dumps(value, indent=indent, allow_nan=False)
+
+
+def _not_finite(value: Any, name: str = "result") -> str | None:
+    """The place of the first number that is NaN or infinite."""
+    if isinstance(value, float):
+        return None if math.isfinite(value) else name
+    if isinstance(value, dict):
+        parts = ((f"{name}.{key}", item) for key, item in value.items())
+    elif isinstance(value, (list, tuple)):
+        parts = ((f"{name}[{index}]", item) for index, item in enumerate(value))
+    else:
+        return None
+    return next((found for place, item in parts if (found := _not_finite(item, place)) is not None), None)
 
 
 def replace_folder(partial: Path, folder: Path) -> None:

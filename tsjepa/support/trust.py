@@ -6,6 +6,8 @@ may decide on its own what is imported, called or unpickled.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 TRUST = "--trust"
@@ -53,10 +55,15 @@ def load_checkpoint(path: str, map_location: Any = None, trusted: bool = False) 
 _trusted = False
 
 
-def trust_everything() -> None:
-    """Lets the entries that this process loads name classes of any package: the user wrote ``--trust``."""
+@contextmanager
+def everything_trusted() -> Iterator[None]:
+    """Lets the entries that are loaded meanwhile name classes of any package: the user wrote ``--trust``."""
     global _trusted
     _trusted = True
+    try:
+        yield
+    finally:
+        _trusted = False
 
 
 def may_import(path: str, trusted: bool = False) -> bool:

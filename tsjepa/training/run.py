@@ -183,7 +183,10 @@ def run_lightning(command: str, options: Sequence[str], program: str = "tsjepa",
             save_config_kwargs={"overwrite": True},
             auto_configure_optimizers=False,
             trainer_defaults={
-                "plugins": {"class_path": "tsjepa.training.resume.AtomicCheckpointIO"},
+                "plugins": [
+                    {"class_path": "tsjepa.training.resume.AtomicCheckpointIO"},
+                    {"class_path": "tsjepa.training.norm.WholeBatchNorm"},
+                ],
                 "callbacks": [],
                 # the data modules' own samplers know their process
                 "use_distributed_sampler": False,

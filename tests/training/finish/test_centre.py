@@ -1,9 +1,12 @@
+from types import SimpleNamespace
+
+import pytest
 import torch
 from tensordict import TensorDict
 
 from tsjepa.models import Encoder
 from tsjepa.training.embeddings import embed_split
-from tsjepa.training.finish.centre import centre_embedding
+from tsjepa.training.finish.centre import CentreEmbedding, centre_embedding
 
 
 def split() -> TensorDict:
@@ -33,3 +36,13 @@ def test_only_the_mean_is_taken_out():
     centre_embedding(encoder, split(), 1)
     after = projections(encoder)
     torch.testing.assert_close(after, before - before.mean(0), atol=1e-5, rtol=1e-4)
+
+
+@pytest.mark.parametrize("last", [{}, {"project": torch.nn.Linear(2, 2, bias=False)}])
+def test_an_encoder_without_such_a_layer_is_left_alone_and_named(last, capsys):
+    encoder = torch.nn.ModuleDict({"layers": torch.nn.Linear(2, 2), **last})
+    before = {name: value.clone() for name, value in encoder.state_dict().items()}
+    trainer, module = SimpleNamespace(datamodule=None), SimpleNamespace(encoder=encoder)
+    CentreEmbedding().finish(trainer, module)
+    assert all(torch.equal(value, before[name]) for name, value in encoder.state_dict().items())
+    assert "ModuleDict has no last layer named project that has a bias" in capsys.readouterr().out

@@ -1,11 +1,12 @@
 import pytest
 import tiny_controller
 import torch
+from tensordict import TensorDict
 from torch.nn import functional as F
 
 from tsjepa.models.decoder import Decoder
 from tsjepa.models.encoder import unpatchify
-from tsjepa.training.finish.decoder import fit_background, fit_decoder, reconstruction_loss
+from tsjepa.training.finish.decoder import NewestFrames, fit_background, fit_decoder, reconstruction_loss
 
 D = 8
 
@@ -104,3 +105,21 @@ def test_a_controller_whose_decoder_nobody_trained_says_so_and_else_draws_one_fr
 def test_a_controller_without_predictor_says_so():
     with pytest.raises(ValueError, match="no predictor"):
         tiny_controller.tiny_supervised().predict(torch.eye(D), torch.zeros(D, 1))
+
+
+def test_frames_are_read_from_the_maps_when_they_are_asked_for(tmp_path):
+    """Those are the newest of every stack, split after split, and no copy of a split is made."""
+    generator = torch.Generator().manual_seed(0)
+    splits = []
+    for index, episodes in enumerate((3, 2)):
+        pixels = torch.randint(0, 256, (episodes, 5, 4, 8, 3), dtype=torch.uint8, generator=generator)
+        TensorDict({"pixels": pixels}, batch_size=[episodes, 5]).memmap(tmp_path / str(index))
+        splits.append(TensorDict.load_memmap(tmp_path / str(index)))
+    frames = NewestFrames(splits, 2)
+    expected = torch.cat([split["pixels"][:, 2:].clone().flatten(0, 1) for split in splits])
+    assert len(frames) == len(expected) == 15
+    assert torch.equal(frames[torch.arange(15)], expected)
+    rows = torch.tensor([14, 0, 9, 8, 0])
+    assert torch.equal(frames[rows], expected[rows])
+    addresses = [split["pixels"].data_ptr() for split in splits]
+    assert [pixels.data_ptr() for pixels in frames.pixels] == addresses

@@ -5,14 +5,14 @@ from __future__ import annotations
 import lightning
 import torch
 from tensordict import TensorDictBase
+from torch import nn
 
-from tsjepa.models import Encoder
 from tsjepa.training.embeddings import embed_split
 from tsjepa.training.finish.callback import Finish
 
 
 @torch.no_grad()
-def centre_embedding(encoder: Encoder, split: TensorDictBase, frame_spacing: int) -> None:
+def centre_embedding(encoder: nn.Module, split: TensorDictBase, frame_spacing: int) -> None:
     """Shifts the encoder's last bias so that its output before normalisation has mean zero over ``split``.
 
     A trained encoder puts much of every embedding into one common direction. The cosine loss then spends itself there,
@@ -20,7 +20,8 @@ def centre_embedding(encoder: Encoder, split: TensorDictBase, frame_spacing: int
     directions.
 
     Args:
-        encoder: changed in place; whatever reads its embeddings has to be trained after this.
+        encoder: with a last layer ``project`` that has a bias; changed in place. Whatever reads its embeddings has to
+            be trained after this.
         split: [episodes, T + 1] with ``pixels``.
         frame_spacing: slots between the frames of a stack.
     """
@@ -42,8 +43,14 @@ class CentreEmbedding(Finish):
 
     On every fourth trajectory of the training split: the mean needs no more, and to embed all takes as long as 50
     steps.
+
+    An encoder without a last layer ``project`` that has a bias stays as it is, and that is said.
     """
 
     def finish(self, trainer: lightning.Trainer, module: lightning.LightningModule) -> None:
         data = trainer.datamodule
+        if getattr(getattr(module.encoder, "project", None), "bias", None) is None:
+            kind = type(module.encoder).__name__
+            print(f"The embeddings are not centred: {kind} has no last layer named project that has a bias.")
+            return
         centre_embedding(module.encoder, data.split("train")[::4], data.frame_spacing)

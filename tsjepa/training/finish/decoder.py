@@ -7,6 +7,7 @@ from contextlib import nullcontext
 
 import lightning
 import torch
+from tensordict import TensorDictBase
 from torch import Tensor
 from torch.nn import functional as F
 
@@ -20,7 +21,35 @@ from tsjepa.training.finish.minimize import ForwardContext, minimize
 SMOOTHING = 17  # pixels, about the cart's width
 
 
-def fit_background(decoder: Decoder, frames: Tensor, contrast_floor: float = 10.0, count: int = 500) -> None:
+class NewestFrames:
+    """The newest frame of every stack of some splits, read from the memory map where it lies when it is asked for.
+
+    Args:
+        splits: [episodes, T + 1] with ``pixels``.
+        first: first slot that has a whole stack behind it.
+    """
+
+    def __init__(self, splits: Sequence[TensorDictBase], first: int) -> None:
+        self.pixels = [torch.from_numpy(split["pixels"].numpy()).flatten(0, 1) for split in splits]
+        slots = [torch.arange(split.batch_size.numel()).view(split.batch_size)[:, first:] for split in splits]
+        self.number = torch.cat([numbers.flatten() for numbers in slots])
+        self.split = torch.arange(len(splits)).repeat_interleave(torch.tensor([part.numel() for part in slots]))
+
+    def __len__(self) -> int:
+        return len(self.number)
+
+    def __getitem__(self, rows: Tensor) -> Tensor:
+        """uint8 [N, H, W, 3] of the rows numbered [N]."""
+        frames = self.pixels[0].new_empty(len(rows), *self.pixels[0].shape[1:])
+        for index, pixels in enumerate(self.pixels):
+            here = self.split[rows] == index
+            frames[here] = pixels[self.number[rows[here]]]
+        return frames
+
+
+def fit_background(
+    decoder: Decoder, frames: Tensor | NewestFrames, contrast_floor: float = 10.0, count: int = 500
+) -> None:
     """Sets the decoder's background to the median frame, its contrast to how far frames are from it near that pixel.
 
     The contrast is smooth, because the decoder's convolutions draw a cart alike wherever it is.
@@ -30,7 +59,7 @@ def fit_background(decoder: Decoder, frames: Tensor, contrast_floor: float = 10.
         frames: uint8 [N, H, W, 3], of which at least ``count`` are looked at.
         contrast_floor: least contrast, of 255; a higher one lets rarely covered regions weigh less.
     """
-    some = frames[:: max(1, len(frames) // count)].to(decoder.background.device)
+    some = frames[torch.arange(0, len(frames), max(1, len(frames) // count))].to(decoder.background.device)
     background = some.median(0).values
     squares = torch.stack([(frame.float() - background).square().mean(-1) for frame in some]).mean(0)
     around = F.avg_pool2d(squares[None, None], SMOOTHING, 1, SMOOTHING // 2, count_include_pad=False)[0, 0]
@@ -82,7 +111,7 @@ def reconstruction_loss(decoder: Decoder, drawn: Tensor, patches: Tensor, motion
 def fit_decoder(
     decoder: Decoder,
     embedding: Tensor,
-    frames: Tensor,
+    frames: Tensor | NewestFrames,
     steps: int,
     batch_size: int = 128,
     learning_rate: float = 3e-3,
@@ -129,16 +158,13 @@ class FitDecoder(Finish):
 
     def finish(self, trainer: lightning.Trainer, module: lightning.LightningModule) -> None:
         model, data = module.controller(), trainer.datamodule
-        embeddings, frames = [], []
-        for name in self.splits:
-            embedding = embedded(data, model, name)["embedding"]
-            newest = torch.from_numpy(data.split(name)["pixels"].numpy())[:, -embedding.shape[1] :]
-            embeddings.append(embedding.flatten(0, 1))
-            frames.append(newest.flatten(0, 1))
+        parts = [embedded(data, model, name)["embedding"] for name in self.splits]
+        splits = [data.split(name) for name in self.splits]
+        first = splits[0].shape[1] - parts[0].shape[1]
         fit_decoder(
             model.decoder,
-            torch.cat(embeddings),
-            torch.cat(frames),
+            torch.cat([rows.flatten(0, 1) for rows in parts]),
+            NewestFrames(splits, first),
             self.steps,
             self.batch_size,
             seed=derive(run_seed(), "decoder"),

@@ -1,14 +1,18 @@
-"""A callback for the test of data parallelism; the processes that Lightning starts find it by its name."""
+"""A callback for the test of data parallelism; the processes that run a recipe find it by its name."""
 
 from pathlib import Path
 
 import lightning
 import torch
-from torch.nn.modules.batchnorm import _BatchNorm
+
+from tsjepa.training.norm import WholeBatchNorm
 
 
-class FrozenNorm(lightning.Callback):
-    """Keeps the statistics of batch normalisation as they are, and writes every step's gradients and last weights.
+class WriteSteps(lightning.Callback):
+    """Writes every step's gradients, and the weights and statistics before the first step and after the last.
+
+    One process computes the statistics of batch normalisation as several do: torch's own layer adds a hundred thousand
+    numbers one by one on a CPU, which costs half of the digits.
 
     Args:
         folder: of the files.
@@ -17,10 +21,10 @@ class FrozenNorm(lightning.Callback):
     def __init__(self, folder: str) -> None:
         self.folder = Path(folder)
 
-    def on_train_epoch_start(self, trainer: lightning.Trainer, module: lightning.LightningModule) -> None:
-        for part in module.modules():
-            if isinstance(part, _BatchNorm):
-                part.eval()
+    def on_train_start(self, trainer: lightning.Trainer, module: lightning.LightningModule) -> None:
+        if trainer.world_size == 1:
+            WholeBatchNorm().apply(module)
+        self.write(trainer, "start", module.state_dict())
 
     def on_before_optimizer_step(
         self, trainer: lightning.Trainer, module: lightning.LightningModule, optimizer

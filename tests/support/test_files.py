@@ -1,0 +1,25 @@
+import json
+
+import pytest
+
+from tsjepa.paper import store
+from tsjepa.support.files import write_json
+
+
+@pytest.mark.parametrize("wrong", [float("nan"), float("inf"), -float("inf")])
+def test_a_result_with_a_number_that_is_none_is_not_written_and_its_place_is_named(tmp_path, wrong):
+    path = tmp_path / "result.json"
+    write_json(path, {"score": 0.5, "rows": [{"x": None}, [1, 2.5, True]]})
+    whole = path.read_text()
+    assert json.loads(whole) == {"score": 0.5, "rows": [{"x": None}, [1, 2.5, True]]}
+    with pytest.raises(ValueError, match=r"result\.json is not written: result\.rows\[1\]\.score in it is not finite"):
+        write_json(path, {"rows": [{"score": 1.0}, {"score": wrong}]})
+    assert path.read_text() == whole
+    assert [file.name for file in tmp_path.iterdir()] == ["result.json"]
+
+
+def test_the_records_of_a_figure_hold_finite_numbers_only(tmp_path):
+    record = {"point": {}, "rows": [{"score": float("nan")}], "made_by": {}}
+    with pytest.raises(ValueError, match=r"toy\.json is not written: result\.rows\[0\]\.score"):
+        store.write(tmp_path, "toy", [record])
+    assert not list(tmp_path.iterdir())
