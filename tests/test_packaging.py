@@ -173,6 +173,14 @@ def test_make_train_jepa_runs_the_whole_chain_with_the_recipe_asked_for():
 
 
 @needs_make
+def test_make_setup_brings_its_pip_up_to_date_before_it_installs(tmp_path):
+    lines = make("-n", "setup", f"VENV={tmp_path / 'venv'}").stdout.splitlines()
+    installs = [line for line in lines if "pip install" in line]
+    assert "--upgrade 'pip>=24'" in installs[0]  # pip 22 and 23 look for a solution for a quarter of an hour
+    assert "-e '.[test]'" in installs[1]
+
+
+@needs_make
 def test_make_says_which_python_it_needs(tmp_path):
     done = make("setup", f"VENV={tmp_path / 'venv'}", "PYTHON=/nonexistent/python")
     assert done.returncode != 0

@@ -138,14 +138,16 @@ def test_an_update_larger_than_its_grant_is_lost():
     assert torch.equal(data["delivered"], fits & (data["snr"] >= 10**0.5))
 
 
-def test_delayed_csi_is_the_snr_of_earlier_slots():
-    """Opportunistic with one block picks the best device of three slots ago, as long as the fading remembers it."""
+def test_delayed_csi_predicts_the_snr_from_earlier_slots():
+    """Opportunistic with one block picks today's best device more often than the best of three slots ago is that."""
     assumed = {"csi": "delayed", "csi_delay": 3, "max_doppler_hz": 2.0}
     channel = Channel(snr_target_db=10.0, max_doppler_hz=2.0)
-    data = rollout([channel, Scheduler("opportunistic", 1, **assumed)])
+    data = rollout([channel, Scheduler("opportunistic", 1, **assumed)], slots=100)
     best = data["snr"].argmax(0)
     picked = data["scheduled"].int().argmax(0)
-    assert torch.equal(picked[3:], best[:-3])
+    assert (picked == best)[8:].float().mean() > 0.8 > (best[3:] == best[:-3])[5:].float().mean()
+    # nothing is known in the first slots, in which all links are believed alike
+    assert (picked[:3] == 0).all()
     now = rollout([Channel(snr_target_db=10.0), Scheduler("opportunistic", 1)])
     assert torch.equal(now["scheduled"].int().argmax(0), now["snr"].argmax(0))
 

@@ -10,17 +10,26 @@ from torchrl.envs import Compose, SerialEnv, TransformedEnv
 from torchrl.envs.utils import check_env_specs
 
 from tsjepa.envs.transforms import (
+    Acknowledge,
+    Actuator,
     Camera,
     Channel,
     Codec,
+    Delay,
     Encode,
+    Energy,
     Estimator,
     HoldCommand,
     Scheduler,
     Uplink,
 )
+from tsjepa.envs.transforms.delay import ACKNOWLEDGED
+from tsjepa.envs.transforms.uplink import AT_BASE_STATION
 from tsjepa.radio import GilbertElliott, IidLoss
 from tsjepa.radio.codecs import FloatCodec, ImageCodec
+from tsjepa.radio.delay import UniformDelay
+from tsjepa.radio.energy import EnergyModel
+from tsjepa.radio.links import McsLink
 
 CHAINS = {
     "channel": lambda: [Channel()],
@@ -50,6 +59,18 @@ CHAINS = {
         Estimator(lambda z, u: z, in_key="embedding", blend=0.5),
     ],
     "whole": whole_chain,
+    "repetition": lambda: [Channel(repetition_s=0.008), Uplink(in_key=None, repeats=True), Energy(EnergyModel())],
+    "block errors": lambda: [Channel(), Codec(FloatCodec(), in_key="state"), Uplink(mcs=McsLink(5))],
+    "delays": lambda: [
+        Channel(max_doppler_hz=5.0),
+        Scheduler("max_age", 2, outcome_keys=ACKNOWLEDGED),
+        Codec(FloatCodec(), in_key="state"),
+        Uplink(in_key=None, keys=AT_BASE_STATION),
+        Acknowledge(0.2, AT_BASE_STATION[0]),
+        Delay(UniformDelay(0, 3), horizon=3),
+        Actuator(0.3, UniformDelay(0, 2), every=2),
+        Estimator(lambda z, u: z, horizon=3),
+    ],
 }
 
 

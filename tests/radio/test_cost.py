@@ -80,7 +80,7 @@ def mean_cost(scheduler, growth=None, slots=600, devices=40, blocks=3):
     return total
 
 
-@pytest.mark.parametrize("scheduler, growth", [(channel_aware, "logarithmic"), (whittle, "linear")])
+@pytest.mark.parametrize("scheduler, growth", [(channel_aware, "quadratic"), (whittle, "linear")])
 def test_weights_by_the_plants_cost_beat_plain_age(scheduler, growth):
     weighed = mean_cost(scheduler, growth)
     assert weighed < 0.9 * mean_cost(scheduler)
@@ -91,7 +91,7 @@ def test_bad_input_is_rejected():
     with pytest.raises(ValueError, match="square and alike"):
         age_cost_table(A, P[:1, :1], W, 5)
     with pytest.raises(ValueError, match="unknown growth"):
-        cost_weight(torch.ones(3), torch.ones(2), growth="square")
+        cost_weight(torch.ones(3), torch.ones(2), growth="cubic")
     with pytest.raises(ValueError, match="max_age 0"):
         age_cost_table(A, P, W, 0)
     with pytest.raises(ValueError, match="smaller max_age"):

@@ -7,6 +7,7 @@ from tsjepa.radio import SCHEDULERS, Known, gated, grant, periodic, simulate_age
 from tsjepa.radio.schedulers import channel_aware, channel_aware_literal, get_scheduler, max_age
 
 CASES, DEVICES = 100_000, 8
+NEEDS = ("urgency", "expected_gain", "true_error", "age_cost")
 
 
 def random_case(seed, cases=CASES, devices=DEVICES):
@@ -23,6 +24,7 @@ def random_case(seed, cases=CASES, devices=DEVICES):
         budget=torch.randint(0, 12, (cases,), generator=generator),
         memory=torch.randint(0, 4, (cases, devices), generator=generator).double(),
         slot=torch.randint(0, 6, (cases, devices), generator=generator),
+        **{key: torch.rand(cases, devices, generator=generator) for key in NEEDS},
     )
 
 
@@ -123,16 +125,20 @@ def test_equal_ages_make_channel_aware_highest_success_probability(aoi_reset):
         assert torch.equal(ours, grant(case.success, case.candidate, case.demand, case.budget))
 
 
-def test_channel_aware_maximises_the_papers_objective():
+@pytest.mark.parametrize(
+    ("age_growth", "cost"), [("logarithmic", torch.log), ("quadratic", torch.square)], ids=["the paper's", "quadratic"]
+)
+def test_channel_aware_maximises_its_objective(age_growth, cost):
     """Against every subset of at most J devices, the age resetting on delivery."""
     known = random_case(7, cases=200)._replace(demand=None, budget=3)
-    schedule, _ = channel_aware(known, success_weight=0.7, age_weight=1.3)
+    schedule, _ = channel_aware(known, success_weight=0.7, age_weight=1.3, age_growth=age_growth)
     subsets = torch.cartesian_prod(*[torch.tensor([False, True])] * DEVICES)
     subsets = subsets[subsets.sum(-1) <= 3]
 
     def objective(picked, row):
         p = known.success[row] * picked
-        return (0.7 * p - 1.3 * (1 - p) * torch.log1p(known.age[row].double())).sum(-1)
+        grown = known.age[row].double() + 1
+        return (0.7 * p - 1.3 * (p * cost(torch.ones_like(grown)) + (1 - p) * cost(grown))).sum(-1)
 
     for row in range(200):
         allowed = known.candidate[row] & known.above_threshold[row]
@@ -201,6 +207,8 @@ def test_bad_input_is_rejected():
         get_scheduler("fifo")
     with pytest.raises(ValueError, match="aoi_reset"):
         channel_aware(known, aoi_reset="never")
+    with pytest.raises(ValueError, match="unknown age_growth"):
+        channel_aware(known, age_growth="cubic")
     with pytest.raises(ValueError, match="period -1"):
         periodic(-1)
     with pytest.raises(ValueError, match="key 'slot'"):

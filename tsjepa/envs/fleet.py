@@ -8,6 +8,7 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
+from tsjepa.plants.mixed import Mixed
 from tsjepa.plants.plant import Plant
 from tsjepa.support.checks import at_least
 
@@ -55,6 +56,8 @@ class FleetEnv(EnvBase):
         shape = torch.Size([num_devices] if batch_size is None else batch_size)
         if not shape or shape[-1] != num_devices:
             raise ValueError(f"The last batch dimension must be num_devices = {num_devices}, got {list(shape)}.")
+        if len(shape) > 1 and isinstance(plant, Mixed):
+            raise ValueError("A batch of fleets needs devices that are alike; run mixed fleets one by one.")
         super().__init__(device="cpu", batch_size=shape)
         self.plant, self.episode_length, self.frame_history = plant, episode_length, frame_history
         self.terminate_on_failure = terminate_on_failure

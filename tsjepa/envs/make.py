@@ -1,4 +1,4 @@
-"""The chain: plant -> channel -> scheduler -> camera -> encoder -> codec -> uplink -> estimator -> actor -> plant.
+"""The chain: plant -> channel -> scheduler -> camera -> encoder -> codec -> uplink -> estimator -> actor -> downlink.
 
 Every closed loop of the package is this chain, with a scheduler and a radio of the caller's choice.
 """
@@ -16,22 +16,15 @@ from torch import Tensor, nn
 from torchrl.envs import Compose, TransformedEnv
 
 from tsjepa.envs.fleet import FleetEnv
-from tsjepa.envs.payload import sends_frames, update_bits, update_codec
+from tsjepa.envs.need import watched
+from tsjepa.envs.payload import sends_frames
+from tsjepa.envs.radio_end import actuator, radio_end
 from tsjepa.envs.settings import Radio
-from tsjepa.envs.transforms import (
-    Camera,
-    Channel,
-    Codec,
-    Encode,
-    Estimator,
-    HoldCommand,
-    Scheduler,
-    Uplink,
-    linear_model,
-)
+from tsjepa.envs.transforms import Estimator, HoldCommand, linear_model
+from tsjepa.envs.weights import at_weights
 from tsjepa.models import Controller
 from tsjepa.plants.plant import Plant
-from tsjepa.radio.schedulers import SCHEDULERS, SchedulerFunction
+from tsjepa.radio.schedulers import SchedulerFunction
 
 HOLD, ZERO, LINEAR, EXACT = "hold", "zero", "linear", "exact"
 ON_STATE = {
@@ -67,7 +60,7 @@ def make_env(
         plant: the kind of machine.
         num_devices: I.
         scheduler: a name in ``tsjepa.radio.SCHEDULERS``, or a function; the oracle serves everybody and loses nothing.
-        radio: the uplink.
+        radio: uplink and downlink.
         controller: one of :data:`ON_STATE`, or a model, which is sent embeddings or frames.
         seed: of channel, losses and the random scheduler.
         plant_seed: of the plants, if not the same.
@@ -87,11 +80,13 @@ def make_env(
         frame_history = max(frame_history, model.frame_history)
     streams = seed if plant_seed is None else plant_seed
     fleet = FleetEnv(plant, num_devices, slots, frame_history, streams, batch_size, terminate_on_failure)
+    believes = far_end(controller, plant, radio, blend, between)
     chain = [
         *radio_end(plant, num_devices, scheduler, radio, model, seed),
-        far_end(controller, plant, radio, blend, between),
+        *actuator(plant, radio, rest(plant), isinstance(believes, HoldCommand), seed),
+        believes,
     ]
-    return TransformedEnv(fleet, Compose(*chain))
+    return TransformedEnv(fleet, Compose(*watched(chain, scheduler, radio, plant, controller)))
 
 
 def check_fit(model: Controller, plant: Plant) -> None:
@@ -109,90 +104,50 @@ def check_fit(model: Controller, plant: Plant) -> None:
             )
 
 
-def radio_end(
-    plant: Plant,
-    num_devices: int,
-    scheduler: str | SchedulerFunction,
-    radio: Radio,
-    model: Controller | None,
-    seed: int,
-) -> list[nn.Module]:
-    """The transforms from the channel to what is received."""
-    lossless = radio.lossless or scheduler == "oracle"
-    codec = update_codec(radio, plant.spec, model)
-    bits = update_bits(radio, plant.spec, model, codec)
-    decide = partial(SCHEDULERS["random"], seed=seed) if scheduler == "random" else scheduler
-    chain = []
-    if not radio.lossless:
-        chain.append(
-            Channel(
-                radio.deployment,
-                tx_power_dbm=radio.tx_power_dbm,
-                snr_target_db=radio.snr_target_db,
-                max_doppler_hz=radio.max_doppler_hz,
-                sampling_interval=plant.spec.slot,
-                loss=radio.loss,
-                seed=seed,
-            )
-        )
-    chain.append(
-        Scheduler(
-            decide,
-            resource_blocks=radio.resource_blocks,
-            payload_bits=bits,
-            units=None if bits is None else radio.units(plant.spec.slot),
-            sampling_interval=plant.spec.slot,
-            csi=radio.csi,
-            csi_delay=radio.csi_delay,
-            snr_threshold_db=radio.snr_threshold_db,
-            max_doppler_hz=radio.max_doppler_hz,
-            loss=radio.loss,
-        )
-    )
-    uplink = Uplink(radio.snr_threshold_db, lossless=lossless)
-    if model is None:
-        return [*chain, Codec(codec, in_key="state"), uplink]
-    camera = Camera(plant.render, plant.spec.frame, model.frame_stack, model.frame_spacing)
-    if sends_frames(radio.codec):
-        remote = Encode(model.encoder, model.embedding_dim, in_key="received", mask_key="delivered")
-        return [*chain, camera, Codec(codec, in_key="pixels"), uplink, remote]
-    return [*chain, camera, Encode(model.encoder, model.embedding_dim), Codec(codec), uplink]
-
-
 def far_end(
     controller: str | Controller, plant: Plant, radio: Radio, blend: float = 1.0, between: str | None = None
 ) -> nn.Module:
     """The last transform: the controller's belief, or the command that the actuator holds."""
-    rest = torch.tensor(np.clip(0.0, plant.spec.action_low, plant.spec.action_high), dtype=torch.float32)
+    if holds(controller, between):
+        between = between if isinstance(controller, Controller) else controller
+        return HoldCommand(between or "hold", rest(plant))
+    embeds = isinstance(controller, Controller)
+    late = {"horizon": 0 if radio.delay is None else radio.delay_horizon}
+    predict = prediction(controller, plant)
+    return Estimator(predict, _sent_as(radio) if embeds else "received", blend, unit_length=embeds, **late)
+
+
+def holds(controller: str | Controller, between: str | None = None) -> bool:
+    """Whether the actuator is left with its last command (or none) until an update arrives: nothing is predicted."""
     if isinstance(controller, Controller):
-        between = between or ("predict" if controller.has_predictor else "hold")
-        if between != "predict":
-            return HoldCommand(between, rest)
-        return Estimator(at_weights(controller, controller.predict), _sent_as(radio), blend, unit_length=True)
-    if controller in (HOLD, ZERO):
-        return HoldCommand(controller, rest)
+        return (between or ("predict" if controller.has_predictor else "hold")) != "predict"
+    return controller in (HOLD, ZERO)
+
+
+def rest(plant: Plant) -> torch.Tensor:
+    """The command [m] that is nearest to zero."""
+    return torch.tensor(np.clip(0.0, plant.spec.action_low, plant.spec.action_high), dtype=torch.float32)
+
+
+def prediction(controller: str | Controller, plant: Plant) -> Callable[[Tensor, Tensor], Tensor]:
+    """From beliefs [*B, d] and commands [*B, m] to the beliefs one slot later.
+
+    Raises:
+        ValueError: there is no such controller, or none for this plant.
+    """
+    if isinstance(controller, Controller):
+        return at_weights(controller, controller.predict)
     if controller == LINEAR:
         model = plant.linear()
         if model is None:
             raise ValueError("This plant has no linear model; choose another controller.")
         linear = linear_model(*model)
-        return Estimator(lambda state, action: linear(state, action).clamp(-FARTHEST, FARTHEST), blend=blend)
+        return lambda state, action: linear(state, action).clamp(-FARTHEST, FARTHEST)
     if controller == EXACT:
         if not state_is_physics(plant):
             raise ValueError("The state of this plant is not all of its physics, so it cannot be predicted exactly.")
-        return Estimator(partial(_exact, plant), blend=blend)
+        return partial(_exact, plant)
     raise ValueError(f"There is no controller {controller!r}; choose {', '.join(ON_STATE)} or a model.")
-
-
-def at_weights(model: nn.Module, method: Callable) -> Callable:
-    """``method`` of ``model`` for tensors anywhere: computed where its weights lie, and the result brought back."""
-
-    def call(first: Tensor, *others: Tensor | None) -> Tensor:
-        weight = next(model.parameters(), first)
-        given = (tensor if tensor is None else tensor.to(weight.device) for tensor in (first, *others))
-        return method(*given).to(first.device)
-
-    return call
 
 
 def _sent_as(radio: Radio) -> str:
@@ -223,35 +178,53 @@ def make_policy(
 ) -> TensorDictModuleBase:
     """The controller at the far end of :func:`make_env` as a policy: it reads its belief and writes ``action``.
 
-    A controller that has heard nothing yet sends the command at rest.
+    With a downlink whose packets hold several commands it also writes ``plan`` [*B, buffer, m]: it predicts its belief
+    through its own commands, the set-points staying as they are. A controller that has heard nothing yet sends the
+    command at rest.
 
     Args:
         plant, controller, radio, between: as of :func:`make_env`.
         expert: of a controller on the state; by default the plant's first.
+
+    Raises:
+        ValueError: a buffer of commands for a controller that does not predict.
     """
     if isinstance(controller, Controller):
         law = at_weights(controller, controller.act)
     else:
         law = expert or next(iter(plant.experts().values()))
-    holds = isinstance(far_end(controller, plant, radio, between=between), HoldCommand)
-    reads = (_sent_as(radio) if isinstance(controller, Controller) else "received") if holds else "belief"
-    rest = torch.tensor(np.clip(0.0, plant.spec.action_low, plant.spec.action_high), dtype=torch.float32)
+    held = holds(controller, between)
+    reads = (_sent_as(radio) if isinstance(controller, Controller) else "received") if held else "belief"
+    resting = rest(plant)
+    length = 1 if radio.downlink is None else radio.downlink.buffer
+    if length > 1 and held:
+        raise ValueError(f"A buffer of {length} commands needs a controller that predicts; this one holds its last.")
+    predict = None if length == 1 else prediction(controller, plant)
 
     @torch.no_grad()
     def act(tensordict: TensorDictBase) -> TensorDictBase:
         reference = tensordict.get("reference", None)
-        command = law(tensordict[reads], reference).to(torch.float32)
-        if not holds:
-            command = torch.where(tensordict["informed"].unsqueeze(-1), command, rest)
-        return tensordict.set("action", command)
+        belief = tensordict[reads]
+        command = law(belief, reference).to(torch.float32)
+        if held:
+            return tensordict.set("action", command)
+        informed = tensordict["informed"].unsqueeze(-1)
+        command = torch.where(informed, command, resting)
+        if length == 1:
+            return tensordict.set("action", command)
+        plan = [command]
+        for _ in range(1, length):
+            belief = predict(belief, plan[-1])
+            plan.append(torch.where(informed, law(belief, reference).to(torch.float32), resting))
+        return tensordict.set("action", command).set("plan", torch.stack(plan, -2))
 
-    return _Policy(act, [reads])
+    return _Policy(act, [reads], ["action"] if length == 1 else ["action", "plan"])
 
 
 class _Policy(TensorDictModuleBase):
-    def __init__(self, act: Callable, in_keys: list[str]) -> None:
+    def __init__(self, act: Callable, in_keys: list[str], out_keys: list[str]) -> None:
         super().__init__()
-        self.in_keys, self.out_keys, self._act = in_keys, ["action"], act
+        self.in_keys, self.out_keys, self._act = in_keys, out_keys, act
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         return self._act(tensordict)

@@ -102,12 +102,21 @@ def update_bits(radio: Radio, spec: PlantSpec, model: Controller | None, codec: 
     """
     if radio.resource_blocks is not None:
         return None
+    return packet_bits(radio, spec, model, codec)
+
+
+def packet_bits(radio: Radio, spec: PlantSpec, model: Controller | None, codec: nn.Module) -> int:
+    """Bits of an update, as given or as the codec makes them.
+
+    Raises:
+        ValueError: the codec's packets vary in length and nobody says how many bits to reserve.
+    """
     if radio.payload_bits is not None:
         return radio.payload_bits
     if sends_frames(radio.codec) and radio.codec != "raw":
         raise ValueError(
             f"Packets of the codec {radio.codec!r} vary in length: give radio.payload_bits, the bits to reserve for "
-            "one, or radio.resource_blocks."
+            "one, or radio.resource_blocks and no MCS."
         )
     return codec_bits(radio, spec, model, codec)
 

@@ -17,7 +17,13 @@ def summary(scheduler: str, runs: list[Run], optimal: Tensor) -> dict:
     scores = [normalized_score(outcome.raw_score(), best) for outcome, best in zip(runs, optimal, strict=True)]
     mean, half = interval(scores)
     ages = torch.stack([outcome.age for outcome in runs])
-    return {
+    energy = {}
+    if runs[0].energy_j is not None:
+        energy["joules_per_device_and_slot"] = _mean(runs, lambda outcome: outcome.energy_j)
+        arrived = sum(int(outcome.delivered.sum()) for outcome in runs)
+        spent = sum(float(outcome.energy_j.double().sum()) for outcome in runs)
+        energy["joules_per_update"] = spent / arrived if arrived else None
+    row = {
         "scheduler": scheduler,
         "normalized_score": mean,
         "interval_95": half,
@@ -28,8 +34,12 @@ def summary(scheduler: str, runs: list[Run], optimal: Tensor) -> dict:
         "delivery_rate": sum(outcome.delivery_rate() for outcome in runs) / len(runs),
         "utilisation": sum(outcome.utilisation() for outcome in runs) / len(runs),
         "bits_per_device_and_slot": _mean(runs, lambda outcome: outcome.payload_bits),
+        **energy,
         "age_counts": torch.bincount(ages.flatten() - 1).tolist(),
     }
+    if runs[0].signalling_bits is not None:
+        row["signalling_bits_per_device_and_slot"] = _mean(runs, lambda outcome: outcome.signalling_bits)
+    return row
 
 
 def device_rows(scheduler: str, runs: list[Run], optimal: Tensor) -> list[dict]:
@@ -44,6 +54,8 @@ def device_rows(scheduler: str, runs: list[Run], optimal: Tensor) -> list[dict]:
             "deliveries": outcome.delivered.sum(0),
             "bits": outcome.payload_bits.sum(0),
         }
+        if outcome.energy_j is not None:
+            columns["joules"] = outcome.energy_j.double().sum(0)
         lists = {name: [round(value, 6) for value in column.tolist()] for name, column in columns.items()}
         for device, perfect in enumerate(best):
             of_device = {"scheduler": scheduler, "seed": seed, "device": device, "perfect_feedback": round(perfect, 6)}
@@ -53,17 +65,23 @@ def device_rows(scheduler: str, runs: list[Run], optimal: Tensor) -> list[dict]:
 
 def table(rows: list[dict]) -> str:
     """The rows as aligned text."""
+    spent = "joules_per_update" in rows[0]
     lines = [
         f"{'scheduler':<24}{'score':>15}{'failed':>9}{'age':>7}{'age 95 %':>10}{'delivered':>11}{'used':>7}"
-        f"{'bit/device/slot':>17}"
+        f"{'bit/device/slot':>17}" + f"{'mJ/update':>12}" * spent
     ]
     for row in rows:
         lines.append(
             f"{row['scheduler']:<24}{row['normalized_score']:>7.3f} ± {row['interval_95']:.3f}"
             f"{row['failed_share']:>9.1%}{row['mean_age']:>7.2f}{row['age_95_percentile']:>10.0f}{row['delivery_rate']:>11.1%}"
             f"{row['utilisation']:>7.0%}{row['bits_per_device_and_slot']:>17.1f}"
+            + (_millijoules(row["joules_per_update"]) if spent else "")
         )
     return "\n".join(lines)
+
+
+def _millijoules(joules: float | None) -> str:
+    return f"{'none':>12}" if joules is None else f"{1e3 * joules:>12.3g}"
 
 
 def _mean(runs: list[Run], values: Callable[[Run], Tensor]) -> float:

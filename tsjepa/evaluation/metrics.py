@@ -28,6 +28,8 @@ class Run:
         used: [T], what was granted of a slot's ``capacity``.
         capacity: what a slot offers, devices or resource units.
         cost: [T, I], the plant's cost of each slot, or None where it has none.
+        energy_j: [T, I] joules of each device, or None where they are not counted.
+        signalling_bits: [T, I] bits spent to tell how urgent a device is, or None where devices tell nothing.
     """
 
     spec: PlantSpec
@@ -43,6 +45,8 @@ class Run:
     used: Tensor
     capacity: int
     cost: Tensor | None = None
+    energy_j: Tensor | None = None
+    signalling_bits: Tensor | None = None
 
     def slot_score(self) -> Tensor:
         """[T, I]: the score of each slot; nothing counts from a failure on."""

@@ -22,6 +22,7 @@ from tsjepa.radio.schedulers import SchedulerFunction, periodic
 ONCE = 0  # as an update period: one update at the first slot, none after it
 HELD_OUT = 1_000_000  # seeds of the evaluation's starts; every other stream has a key of 63 bits with the top one set
 RECORDED = ("scheduled", "delivered", "age_of_information", "payload_bits")
+SIGNALLED = "signalling_bits"  # where devices say how urgent they are
 
 Watch = Callable[[int, TensorDictBase], None]
 
@@ -37,7 +38,7 @@ class Loop:
             update every P slots.
         num_devices: I.
         slots: T.
-        radio: the uplink.
+        radio: uplink and downlink.
         frame_history: slots up to step 0, the warm-up; models of different stacks meet the same starts with the longest
             one's.
         blend: how much of a received embedding enters the belief.
@@ -101,8 +102,9 @@ def run(loop: Loop, seed: int, watch: Watch | None = None, env: TransformedEnv |
     """
     env, policy = env or loop.env(seed), loop.policy()
     in_units = loop.radio.resource_blocks is None
-    keys = (*RECORDED, "resource_units") if in_units else RECORDED
+    keys = (*RECORDED, *["resource_units"] * in_units, *["energy_j"] * (loop.radio.energy is not None))
     now = env.reset()
+    keys = (*keys, SIGNALLED) if SIGNALLED in now else keys
     states, actions, scores, records, references = [now["state"]], [], [], [], []
     for slot in range(loop.slots):
         records.append(now.select(*keys))
@@ -113,8 +115,8 @@ def run(loop: Loop, seed: int, watch: Watch | None = None, env: TransformedEnv |
         now = env.step(now)
         scores.append(now["next", "reward"][..., 0])
         following = step_mdp(now)
-        held = following.get("held_command", None)
-        actions.append(now["action"] if held is None else held)
+        applied = following.get("applied_command", following.get("held_command", None))
+        actions.append(now["action"] if applied is None else applied)
         states.append(following["state"])
         now = following
     record, state, action = torch.stack(records), torch.stack(states), torch.stack(actions)
@@ -140,9 +142,11 @@ def _recorded(
         delivered=record["delivered"],
         age=record["age_of_information"],
         payload_bits=record["payload_bits"],
+        signalling_bits=record.get(SIGNALLED, None),
         used=(record["resource_units"] if in_units else record["scheduled"]).sum(-1),
         capacity=capacity,
         cost=None if cost is None else cost(state[1:], action, reference),
+        energy_j=record.get("energy_j", None),
     )
 
 

@@ -16,18 +16,19 @@ Score = Callable[[str, int], list[float]]
 
 
 def search(
-    score: Score, schedulers: Sequence[str], sizes: Sequence[int], acceptable: float
+    score: Score, schedulers: Sequence[str], sizes: Sequence[int], acceptable: float, resolution: int = 1
 ) -> dict[str, dict[int, list[float]]]:
     """Scores of every scheduler at the given sizes, and between them where the mean crosses the acceptable score.
 
     Goes up the sizes until the mean is hopeless, then halves the gap between the largest acceptable size and the first
-    that is not, down to one device.
+    that is not, down to ``resolution`` devices.
 
     Args:
         score: evaluates one fleet; with common random numbers a comparison between schedulers is paired.
         schedulers: names.
         sizes: values of I, ascending.
         acceptable: the mean score that has to be kept.
+        resolution: gap between sizes that is not halved any further.
 
     Returns:
         Scores per seed, by scheduler and by I in ascending order.
@@ -41,7 +42,7 @@ def search(
             if mean(curve[size]) < HOPELESS_SCORE:
                 break
         good, bad = _bracket({size: mean(values) for size, values in curve.items()}, acceptable)
-        while good and bad and bad - good > 1:
+        while good and bad and bad - good > resolution:
             size = (good + bad) // 2
             curve[size] = score(scheduler, size)
             good, bad = (size, bad) if mean(curve[size]) >= acceptable else (good, size)

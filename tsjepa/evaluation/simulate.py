@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -24,6 +25,7 @@ from tsjepa.evaluation.rollouts import Loop, optimal_scores, run
 from tsjepa.models import Controller, entries
 from tsjepa.plants import Plant, describe_plant
 from tsjepa.radio.schedulers import SchedulerFunction, get_scheduler
+from tsjepa.radio.traces import describe, read_trace
 from tsjepa.support.checks import at_least
 from tsjepa.support.files import write_json, write_text
 from tsjepa.support.journal import Journal
@@ -63,6 +65,7 @@ def simulate(
     frame_history: int = 2,
     seeds: int = 5,
     search_over: Sequence[int] = (),
+    search_resolution: int = 1,
     acceptable_score: float = 0.74,
     output: str = "runs/fleet",
     video: bool = True,
@@ -78,12 +81,14 @@ def simulate(
         schedulers: names in tsjepa.radio.SCHEDULERS; in Python also functions. The film shows the first two.
         controller: one of tsjepa.envs.make.ON_STATE, such as "hold" (the expert on the received state, its command held
             between updates), or a model by name or folder.
-        radio: the uplink.
+        radio: uplink and downlink.
         plant: the kind of machine; left out, the one that the model was trained on.
         slots: T.
         frame_history: slots up to step 0, the warm-up at rest; at least those of the model's stack.
         seeds: how many seeds of plants and channels, at least 2.
         search_over: fleet sizes, ascending, between which the largest acceptable one is searched for.
+        search_resolution: devices between two sizes of which the search tries none between them; the crossing is then
+            interpolated.
         acceptable_score: normalised score that the mean over the fleet has to keep.
         output: folder of the results.
         video: make the film.
@@ -96,7 +101,7 @@ def simulate(
     if num_devices is None and not search_over:
         raise ValueError("Nothing to do: give num_devices, search_over, or both.")
     at_least(2, seeds=seeds)
-    at_least(1, slots=slots, frame_history=frame_history)
+    at_least(1, slots=slots, frame_history=frame_history, search_resolution=search_resolution)
     if search_over:
         sizes_served.check_sizes(search_over)
     if isinstance(schedulers, str) or not schedulers:
@@ -124,6 +129,9 @@ def simulate(
         "optimal_policy": machine.normaliser,
         "acceptable_score": acceptable_score,
     }
+    if radio.trace is not None:
+        made["trace"] = trace_of(radio, machine.spec.slot, slots)
+        print(f"The trace {radio.trace}: {made['trace']['describes']}")
     folder = Path(output)
     folder.mkdir(parents=True, exist_ok=True)
     experiment = Experiment(loop, named, optimal, made, folder)
@@ -131,9 +139,16 @@ def simulate(
     if num_devices is not None:
         result["fleet"] = one_fleet(experiment, num_devices, video)
     if search_over:
-        result["search"] = search(experiment, search_over, code_hash(type(machine), *functions))
+        result["search"] = search(experiment, search_over, code_hash(type(machine), *functions), search_resolution)
     print(f"Figures and plots are in {folder}.")
     return result
+
+
+def trace_of(radio: Radio, slot: float, slots: int) -> dict[str, str]:
+    """What is played: a sentence on its length, its stretching, its repetitions and its gaps, and the file's hash."""
+    trace = read_trace(radio.trace)
+    describes = describe(trace, slot, radio.trace_stretch, slots)
+    return {"describes": describes, "sha256": hashlib.sha256(Path(radio.trace).read_bytes()).hexdigest()}
 
 
 def load_controller(name: str, device: str = "cpu") -> str | Controller:
@@ -193,7 +208,7 @@ def one_fleet(experiment: Experiment, count: int, video: bool) -> dict:
     return result
 
 
-def search(experiment: Experiment, sizes: Sequence[int], code: str) -> dict:
+def search(experiment: Experiment, sizes: Sequence[int], code: str, resolution: int = 1) -> dict:
     """The largest acceptable fleet of every scheduler, with its files; ``code`` tells two states of the code apart."""
     made, folder, optimal = experiment.made, experiment.folder, experiment.optimal
     depends_on = {key: made[key] for key in ("settings", "model_sha256", "optimal_policy")} | {"code": code}
@@ -226,7 +241,7 @@ def search(experiment: Experiment, sizes: Sequence[int], code: str) -> dict:
 
     acceptable = made["acceptable_score"]
     with tqdm(desc="fleets", unit="fleet") as progress:
-        curves = sizes_served.search(score, list(experiment.schedulers), sizes, acceptable)
+        curves = sizes_served.search(score, list(experiment.schedulers), sizes, acceptable, resolution)
     result = made | {"largest": sizes_served.largest(curves, acceptable), "points": points}
     write_json(folder / "search.json", result, indent=1)
     journal.path.unlink()

@@ -7,6 +7,7 @@ from tsjepa.plants.build import build_plant, describe_plant
 from tsjepa.plants.cartpole import CartPole
 from tsjepa.plants.double_cartpole import DoubleCartPole
 from tsjepa.plants.gym_env import Gym
+from tsjepa.plants.mixed import Mixed
 from tsjepa.plants.mjcf import MuJoCo
 from tsjepa.plants.mujoco_plant import MujocoPlant
 from tsjepa.plants.pendulum import Pendulum
@@ -19,6 +20,7 @@ __all__ = [
     "CartPole",
     "DoubleCartPole",
     "Gym",
+    "Mixed",
     "MuJoCo",
     "MujocoPlant",
     "Pendulum",

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from tsjepa.plants.lens import View
-from tsjepa.plants.lqr import ClippedLQR, lqr_gain
+from tsjepa.plants.lqr import ClippedLQR, lqr_gain, lqr_value
 from tsjepa.plants.mujoco_plant import MujocoPlant, changing_goals, jumping_set_point
 from tsjepa.plants.suite_models import load_suite_model, simplify
 from tsjepa.support.spec import PlantSpec
@@ -23,6 +23,8 @@ BOX_POSITION, BOX_ANGLE = 0.05, 0.05  # m, rad
 FAILURE_POSITION, FAILURE_ANGLE = 1.8, 0.8  # m, rad; the rail ends at 1.8 m
 START_HALF_WIDTHS = (0.8, 0.3, 0.3, 0.3)  # m, rad, m/s, rad/s
 GOAL_RANGE = 0.8  # m, of the set-points that trajectories of the training data have
+POLE_LENGTH = 1.0  # m, the suite's
+EXPERT_WEIGHTS = (1.6, 1.0, 0.005, 0.005), 1e-3  # Q's diagonal and R
 # A rolled camera meets every edge at many sub-pixel phases, and four samples on a doubled grid make sixteen a pixel:
 # two frames 40 ms apart then give velocity to 5 mm/s, against 35 for an upright view with four samples, 49 with none.
 # The width just holds the cart and the leaning pole at |x| <= 1.3 m, |theta| <= 0.35 rad. The eyes stand apart by
@@ -30,13 +32,18 @@ GOAL_RANGE = 0.8  # m, of the set-points that trajectories of the training data 
 VIEW = View(position=(0.04, -4.0, 1.45), fovy=24.4, roll=5.0, eyes=0.068)
 
 
-def in_newtons(spec: mujoco.MjSpec) -> None:
-    """The suite's cart-pole, of any number of poles, with the force as its command and one box for a rail."""
+def in_newtons(spec: mujoco.MjSpec, pole_length: float = POLE_LENGTH) -> None:
+    """The suite's cart-pole, of any number of poles, with the force as its command and one box for a rail.
+
+    A length in metres other than the suite's is that of the first pole.
+    """
     simplify(spec, hide=("floor", "rail1", "rail2"), colors={})
     spec.worldbody.add_geom(name="rail", type=mujoco_box(), pos=[0, 0, 1], size=[2, 0.02, 0.02], material="decoration")
     motor = spec.actuators[0]
     motor.gear = [1, 0, 0, 0, 0, 0]
     motor.ctrlrange = [-MAX_FORCE, MAX_FORCE]
+    if pole_length != POLE_LENGTH:
+        spec.geom("pole_1").fromto = [0, 0, 0, 0, 0, pole_length]
 
 
 def mujoco_box() -> int:
@@ -59,6 +66,10 @@ class CartPole(MujocoPlant):
         start_half_widths: of the uniform start (m, rad, m/s, rad/s).
         set_point_step: the wanted position jumps between plus and minus this, metres; 0 keeps it at the origin.
         set_point_slots: slots between jumps.
+        pole_length: metres from the hinge to the tip; its mass stays 0.1 kg. A shorter pole falls faster.
+
+    Raises:
+        ValueError: a pole that has no length.
     """
 
     normaliser = "reference LQR"
@@ -71,7 +82,10 @@ class CartPole(MujocoPlant):
         start_half_widths: Sequence[float] = START_HALF_WIDTHS,
         set_point_step: float = 0.0,
         set_point_slots: int = 50,
+        pole_length: float = POLE_LENGTH,
     ) -> None:
+        if not 0 < pole_length < np.inf:
+            raise ValueError(f"pole_length {pole_length!r} must be a positive number of metres")
         spec = PlantSpec(
             action_low=(-MAX_FORCE,),
             action_high=(MAX_FORCE,),
@@ -89,10 +103,11 @@ class CartPole(MujocoPlant):
             watched="theta",
             watched_limit=0.05,
         )
-        model = load_suite_model("cartpole", in_newtons)
+        model = load_suite_model("cartpole", lambda suite: in_newtons(suite, pole_length))
         super().__init__(model, spec, VIEW, start_half_widths, process_noise_std, random_colors)
         self.sampling_interval = sampling_interval
         self.set_point_step, self.set_point_slots = set_point_step, set_point_slots
+        self.pole_length = pole_length
 
     def state(self, physics: np.ndarray) -> np.ndarray:
         """The physics itself."""
@@ -127,10 +142,15 @@ class CartPole(MujocoPlant):
         a, b = self.linear()
         low, high = self.spec.action_low, self.spec.action_high
         return {
-            "expert": ClippedLQR(lqr_gain(a, b, (1.6, 1.0, 0.005, 0.005), 1e-3), 0.65, low, high),
+            "expert": ClippedLQR(lqr_gain(a, b, *EXPERT_WEIGHTS), 0.65, low, high),
             "reference LQR": ClippedLQR(lqr_gain(a, b, (10.0, 10.0, 0.1, 0.1), 1e-3), 0.5, low, high),
         }
 
     def goals(self, episodes: int, slots: int, generator: torch.Generator) -> Tensor:
         """Wanted positions [episodes, slots, 1] in metres."""
         return changing_goals(self.spec.reference_low, self.spec.reference_high, episodes, slots, generator)
+
+    def error_cost(self) -> tuple[Tensor, Tensor]:
+        """P of the expert's weights, and the noise on the two velocities."""
+        variances = torch.cat((torch.zeros(2), torch.tensor(self.process_noise_std.copy()) ** 2))
+        return lqr_value(*self.linear(), *EXPERT_WEIGHTS), torch.diag(variances)

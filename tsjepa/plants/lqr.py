@@ -13,6 +13,22 @@ def lqr_gain(
 ) -> Tensor:
     """Gain of the infinite-horizon linear-quadratic regulator of s[k+1] = A s[k] + B u[k].
 
+    Args:
+        a, b, state_weights, action_weights: as of :func:`lqr_value`.
+
+    Returns:
+        K [m, n] in float64, for u = -K s.
+    """
+    weights = torch.as_tensor(action_weights, dtype=torch.float64).expand(b.shape[1])
+    value = lqr_value(a, b, state_weights, action_weights)
+    return torch.linalg.solve(torch.diag(weights) + b.T @ value @ b, b.T @ value @ a)
+
+
+def lqr_value(
+    a: Tensor, b: Tensor, state_weights: Sequence[float] | Tensor, action_weights: Sequence[float] | float
+) -> Tensor:
+    """Cost P of the state under that regulator: s^T P s is what is still to come.
+
     Solves the discrete Riccati equation by the structure-preserving doubling algorithm (Chu, Fan, Lin and Wang,
     International Journal of Control 77(8), 2004), which converges quadratically.
 
@@ -22,7 +38,7 @@ def lqr_gain(
         action_weights: the diagonal of R [m], or one number for all.
 
     Returns:
-        K [m, n] in float64, for u = -K s.
+        P [n, n] in float64, symmetric.
     """
     size = len(a)
     weights = torch.as_tensor(action_weights, dtype=torch.float64).expand(b.shape[1])
@@ -39,7 +55,7 @@ def lqr_gain(
         transition = transition @ left
         if update.abs().max() <= 1e-13 * cost.abs().max():
             break
-    return torch.linalg.solve(torch.diag(weights) + b.T @ cost @ b, b.T @ cost @ a)
+    return cost
 
 
 class ClippedLQR(nn.Module):
@@ -75,11 +91,15 @@ class ClippedLQR(nn.Module):
         Raises:
             ValueError: the last dimension is not n, or a number is not finite.
         """
+        command = self.unsaturated(state, reference)
+        return command.clamp(self.low.to(command), self.high.to(command))
+
+    def unsaturated(self, state: Tensor, reference: Tensor | None = None) -> Tensor:
+        """What the command [..., m] would be if the actuator had no limits; arguments and errors as of the command."""
         error = self.error(state, reference)
         clip = self.position_clip.to(error)
         features = torch.cat([error[..., :1].clamp(-clip, clip), error[..., 1:]], dim=-1)
-        command = -(features.unsqueeze(-2) * self.gain.to(features)).sum(-1)
-        return command.clamp(self.low.to(command), self.high.to(command))
+        return -(features.unsqueeze(-2) * self.gain.to(features)).sum(-1)
 
     def error(self, state: Tensor, reference: Tensor | None) -> Tensor:
         """States [..., n] with the set-points taken away, checked."""

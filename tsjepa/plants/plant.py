@@ -81,3 +81,10 @@ class Plant(ABC):
     def linear(self) -> tuple[Tensor, Tensor] | None:
         """A [n, n] and B [n, m] in float64 of the state one slot later near the goal; None where there are none."""
         return None
+
+    def error_cost(self) -> tuple[Tensor, Tensor] | None:
+        """P [n, n], what a squared error of the state costs, and W [n, n], covariance of a slot's noise; float64.
+
+        Both are near the goal, P the solution of a Riccati equation; None where there are none.
+        """
+        return None

@@ -8,11 +8,12 @@ from tsjepa.radio.age import (
     whittle_index,
 )
 from tsjepa.radio.deployment import PAPER_LITERAL, Deployment
+from tsjepa.radio.grant import grant
 from tsjepa.radio.knowledge import Known
 from tsjepa.radio.link import capacity, ergodic_efficiency, outage_probability, resource_units, units_per_slot
 from tsjepa.radio.loss import GilbertElliott, IidLoss
 from tsjepa.radio.path_loss import los_probability, path_loss_db
-from tsjepa.radio.schedulers import SCHEDULERS, gated, grant, periodic
+from tsjepa.radio.schedulers import SCHEDULERS, gated, periodic
 from tsjepa.radio.simulation import AgeTrace, simulate_ages
 
 __all__ = [

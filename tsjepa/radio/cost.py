@@ -55,12 +55,18 @@ def cost_weight(table: Tensor, ages: Tensor, demand: Tensor | None = None, growt
         table, ages: as of :func:`age_cost`.
         demand: [..., I] resource units, for the weight per unit.
         growth: the scheduler's own cost: "linear" is the age (``whittle``; a cost of a times the age has the weight a),
-            "logarithmic" is 1 + log(1 + age) (``channel_aware`` with its default weights, whose gain becomes the
-            probability of success times the plant's cost).
+            "quadratic" is 1 + age (age + 2) (``channel_aware`` with its default weights, whose gain becomes the
+            probability of success times the plant's cost), "logarithmic" 1 + log(1 + age) (the same with the paper's
+            ``age_growth``).
     """
-    own = {"linear": ages.clamp(min=1), "logarithmic": 1 + torch.log1p(ages.to(torch.float64))}
+    known = ages.to(torch.float64)
+    own = {
+        "linear": ages.clamp(min=1),
+        "quadratic": 1 + known * (known + 2),
+        "logarithmic": 1 + torch.log1p(known),
+    }
     if growth not in own:
-        raise ValueError(f"unknown growth {growth!r}: choose 'linear' or 'logarithmic'")
+        raise ValueError(f"unknown growth {growth!r}: choose one of {', '.join(own)}")
     weight = age_cost(table, ages) / own[growth]
     return weight if demand is None else weight / demand.clamp(min=1)
 

@@ -16,17 +16,18 @@ def doppler_hz(speed_m_per_s: float, carrier_ghz: float) -> float:
     return speed_m_per_s * carrier_ghz * 1e9 / SPEED_OF_LIGHT
 
 
-def rayleigh_power(seed: int, device: Tensor, episode: Tensor, slot: Tensor) -> Tensor:
+def rayleigh_power(seed: int, device: Tensor, episode: Tensor, slot: Tensor, stream: str = "fading") -> Tensor:
     """Rayleigh block fading, independent from slot to slot: |H|^2 is exponential with mean 1.
 
     Args:
         seed: seed of the fading stream.
         device, episode, slot: int64 counters that broadcast together.
+        stream: of the random numbers; "repetition" for a packet that is sent again within the slot.
 
     Returns:
         float64, the broadcast shape.
     """
-    return -torch.log(uniform(seed, "fading", device, episode, slot))
+    return -torch.log(uniform(seed, stream, device, episode, slot))
 
 
 def jakes_power(seed: int, device: Tensor, episode: Tensor, time_s: Tensor, max_doppler_hz: float) -> Tensor:

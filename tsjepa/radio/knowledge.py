@@ -21,8 +21,13 @@ class Known(NamedTuple):
         memory: [..., I] float64, what the scheduler returned in the slot before, zeros at first; it outlives episodes.
         demand: [..., I] int64 resource units that each device needs, or None: one each.
         urgency: [..., I] what each device says of its own need, >= 0, or None where devices say nothing.
-        weight: [..., I] priority, > 0, by which ``max_weight``, ``whittle`` and ``channel_aware`` multiply a device's
-            gain, or None: all alike.
+        expected_gain: [..., I] what hearing of a device now is expected to save, from the controller's own record of
+            its errors, see :mod:`tsjepa.radio.expected_error`; None where it keeps none.
+        true_error: [..., I] how far each device's command would change if it were heard now, as a part of the
+            actuator's range. Nobody knows it: it is there for bounds. None where nobody computes it.
+        age_cost: [..., I] float64 the plant's own cost of a state that is known ``age`` slots late, or None.
+        weight: [..., I] priority, > 0, by which the schedulers that compute a device's gain multiply it, or None: all
+            alike.
         slot: int64 slots since the device's episode began, broadcast against [..., I], or None where no plant counts.
         signalling_bits: bits that were spent in this slot to know it, int or [..., I] int64.
     """
@@ -39,6 +44,9 @@ class Known(NamedTuple):
     weight: Tensor | None = None
     slot: Tensor | None = None
     signalling_bits: int | Tensor = 0
+    expected_gain: Tensor | None = None
+    true_error: Tensor | None = None
+    age_cost: Tensor | None = None
 
 
 class Link(NamedTuple):

@@ -5,48 +5,22 @@ Every scheduler has the signature
     scheduler(known: Known) -> (schedule, memory)
 
 with ``schedule`` [..., I] bool and ``memory`` [..., I] float64, whatever the scheduler wants back in the next slot. It
-is usually a score handed to :func:`grant`; ties go to the device with the lower index.
+is usually a score handed to :func:`tsjepa.radio.grant.grant`; ties go to the device with the lower index.
 """
 
 import inspect
 from collections.abc import Callable
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from tsjepa.radio.age import whittle_index
+from tsjepa.radio.grant import grant
 from tsjepa.radio.knowledge import Known
+from tsjepa.radio.need import channel_aware_cost, expected_urgency, genie, urgency, whittle_cost
 from tsjepa.radio.streams import uniform
 
 SchedulerFunction = Callable[[Known], tuple[Tensor, Tensor]]
-
-
-def grant(score: Tensor, candidate: Tensor, demand: Tensor | None, budget: int | Tensor) -> Tensor:
-    """Fill the budget with candidates in order of descending score; equal scores go in order of index.
-
-    Filling stops at the first device that does not fit: nobody with a lower score overtakes it. A device that needs
-    more than the whole budget is no candidate. With ``demand=None`` every device takes one unit.
-
-    Args:
-        score: [..., I], any real dtype.
-        candidate: [..., I] bool.
-        demand: [..., I] int64, or None.
-        budget: int, or [...] int64.
-
-    Returns:
-        [..., I] bool.
-    """
-    if demand is None and isinstance(budget, int):
-        return _top(score, candidate, budget)
-    room = torch.as_tensor(budget, device=score.device).unsqueeze(-1)
-    demand = torch.ones_like(candidate, dtype=torch.int64) if demand is None else demand
-    candidate = candidate & (demand <= room)
-    # non-candidates are sorted last, where their demand no longer matters
-    order = torch.where(candidate, _to_float(score), -torch.inf).sort(dim=-1, descending=True, stable=True).indices
-    used = demand.masked_fill(~candidate, 0).gather(-1, order).cumsum(-1)
-    fits = (used <= room).cummin(-1).values
-    return torch.zeros_like(candidate).scatter(-1, order, fits) & candidate
 
 
 def round_robin(known: Known):
@@ -100,20 +74,29 @@ def channel_aware(
     age_weight: float = 1.0,
     aoi_reset: str = "delivery",
     snr_gate: bool = True,
+    age_growth: str = "quadratic",
 ):
-    """Top marginal gain of the paper's objective sum_i w1 P[success] - w2 log(age), over devices above the threshold.
+    """Top marginal gain of the objective sum_i w1 P[success] - w2 f(age), over devices above the threshold.
 
-    Scheduling device i changes the objective by (1 - eps)(w1 + w2 log(1 + beta)) where the age resets on delivery, and
-    by w1 (1 - eps) + w2 log(1 + beta) where it resets on scheduling; beta is the age before the slot. The sum is
-    separable, so the top J by this gain solve the paper's problem exactly.
+    Scheduling device i changes the objective by (1 - eps)(w1 + w2 g) where the age resets on delivery, and by
+    w1 (1 - eps) + w2 g where it resets on scheduling, with g = f(beta + 1) - f(1) and beta the age before the slot. The
+    sum is separable, so the top J by this gain solve the problem exactly.
+
+    The paper has f = log. Where all links are believed alike, every growing f ranks the devices alike. Where they are
+    not, log gives up a device that is believed to be in a burst of losses, since waiting costs it ever less; a plant
+    that falls pays ever more, so f is the square by default.
 
     Args:
         known: what is known of the slot.
         success_weight, age_weight: w1 and w2.
         aoi_reset: "delivery" or "scheduled".
         snr_gate: keep the constraint gamma >= gamma_th.
+        age_growth: f, "quadratic" or (the paper's) "logarithmic".
     """
-    freshness = age_weight * torch.log1p(known.age.to(known.success.dtype))
+    age = known.age.to(known.success.dtype)
+    if age_growth not in ("quadratic", "logarithmic"):
+        raise ValueError(f"unknown age_growth {age_growth!r}: choose 'quadratic' or 'logarithmic'")
+    freshness = age_weight * (age * (age + 2) if age_growth == "quadratic" else torch.log1p(age))
     if aoi_reset == "delivery":
         score = known.success * (success_weight + freshness)
     elif aoi_reset == "scheduled":
@@ -194,6 +177,11 @@ SCHEDULERS: dict[str, SchedulerFunction] = {
         max_age,
         max_weight,
         whittle,
+        whittle_cost,
+        channel_aware_cost,
+        urgency,
+        expected_urgency,
+        genie,
         proportional_fair,
         once,
         oracle,
@@ -233,31 +221,3 @@ def _weighted(score: Tensor, known: Known) -> Tensor:
 
 def _gate(known: Known, snr_gate: bool) -> Tensor:
     return known.candidate & known.above_threshold if snr_gate else known.candidate
-
-
-def _top(score: Tensor, candidate: Tensor, count: int) -> Tensor:
-    """The ``count`` best candidates by a threshold instead of a sort: linear in I."""
-    if count <= 0:
-        return torch.zeros_like(candidate)
-    if count >= score.shape[-1]:
-        return candidate.clone()
-    score = torch.where(candidate, _to_float(score), -torch.inf)
-    threshold = _kth_largest(score, count)
-    ahead = score > threshold
-    tied = (score == threshold) & candidate
-    vacant = count - ahead.sum(-1, keepdim=True, dtype=torch.int32)
-    return ahead | (tied & (tied.cumsum(-1, dtype=torch.int32) <= vacant))
-
-
-def _kth_largest(score: Tensor, k: int) -> Tensor:
-    """k-th largest score of each row, [..., 1]."""
-    if score.device.type != "cpu":
-        return score.topk(k, dim=-1, sorted=False).values.amin(-1, keepdim=True)
-    # numpy's vectorised quickselect is several times faster than torch.topk on a CPU
-    position = score.shape[-1] - k
-    return torch.from_numpy(np.partition(score.detach().numpy(), position, axis=-1)[..., position : position + 1])
-
-
-def _to_float(score: Tensor) -> Tensor:
-    # integer scores such as ages stay exact up to 2^53
-    return score if score.is_floating_point() else score.to(torch.float64)

@@ -11,6 +11,7 @@ from torch import Tensor
 STREAMS = (
     *("position", "los", "shadowing", "fading", "loss", "scheduler"),
     *("delay", "ack", "downlink_delay", "downlink_loss"),
+    *("repetition", "decoding", "trace", "trace_loss"),
 )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import inspect
 import itertools
 import re
@@ -45,7 +46,10 @@ def one_sentence(message: str) -> str:
 def error_method(program: str) -> Callable:
     """Replaces ``ArgumentParser.error``, which prints a usage of hundreds of options before the message."""
 
-    def error(parser: object, message: str, cause: Exception | None = None) -> None:
+    def error(parser: argparse.ArgumentParser, message: str, cause: Exception | None = None) -> None:
+        if not parser.exit_on_error:
+            # the parser of one of several types that an option may have: the next one may fit
+            raise argparse.ArgumentError(None, message) from cause
         print(f"{program}: {one_sentence(message)} (options: {program} --help)", file=sys.stderr)
         raise SystemExit(2)
 

@@ -1,14 +1,19 @@
 """Who transmits in this slot."""
 
+from collections.abc import Callable
+
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.data import Composite, TensorSpec
 
 from tsjepa.envs.transforms.base import SlotTransform, Values, flag_spec, number_spec, require_key
-from tsjepa.radio.belief import make_belief
+from tsjepa.radio.belief import PredictedCsi, make_belief
+from tsjepa.radio.cost import age_cost
+from tsjepa.radio.decoding import Decoding
 from tsjepa.radio.knowledge import Known
 from tsjepa.radio.link import db_to_linear, resource_units, units_per_slot
+from tsjepa.radio.links import AdaptedDecoding
 from tsjepa.radio.loss import GilbertElliott, IidLoss
 from tsjepa.radio.schedulers import SchedulerFunction, get_scheduler
 
@@ -22,14 +27,14 @@ class Scheduler(SlotTransform):
 
     Reads ``snr`` and ``mean_snr`` where a :class:`Channel` wrote them, age and outcome of the slot before where an
     :class:`Uplink` did, and ``slot`` where the plant counts the slots of its episodes; without them links are perfect,
-    ages are 1, and a scheduler that needs the slot says so. ``urgency`` and ``weight`` are handed on where something
-    writes them. ``channel_belief`` is what the scheduler remembers of each link; the hidden state of a loss model is
-    not read, it is inferred from the outcomes.
+    ages are 1, and a scheduler that needs the slot says so. ``urgency``, ``expected_gain``, ``true_error``,
+    ``signalling_bits`` and ``weight`` are handed on where something writes them. ``channel_belief`` is what the
+    scheduler remembers of each link; the hidden state of a loss model is not read, it is inferred from the outcomes.
 
     Args:
         scheduler: a name in ``SCHEDULERS``, or a function of that interface.
         resource_blocks: J, devices per slot.
-        payload_bits: bits per update, instead of ``resource_blocks``.
+        payload_bits: bits per update, instead of ``resource_blocks``; a number, or one a device [I].
         units: resource units in a slot; None derives them from ``sampling_interval``.
         sampling_interval: seconds per slot.
         csi: "perfect", "delayed" (by ``csi_delay`` slots), "statistical" (mean SNR), or "acks" (nothing but outcomes).
@@ -37,15 +42,19 @@ class Scheduler(SlotTransform):
         snr_threshold_db: decode threshold. With perfect CSI a device asks for units at its SNR (or at the threshold,
             if that is higher); otherwise at the threshold, so that it arrives if and only if the threshold is met.
         max_doppler_hz, loss, fading: the channel that the scheduler assumes, as of :class:`Channel`.
+        decoding: when a packet is decoded, if not from the threshold on.
+        demand: from bits and linear SNR to the resource units that a device asks for.
+        outcome_keys: outcome and age of the slot before, as whoever schedules knows them.
+        weight: priority of each device [I], unless something writes ``weight``.
+        age_cost: the plants' own cost at the ages 0, 1, ..., [I, ages] or [ages], see
+            :func:`tsjepa.radio.cost.age_cost_table`.
     """
-
-    previous_keys = ("age_of_information", "delivered")
 
     def __init__(
         self,
         scheduler: str | SchedulerFunction = "channel_aware",
         resource_blocks: int | None = None,
-        payload_bits: int | None = None,
+        payload_bits: int | Tensor | None = None,
         units: int | None = None,
         sampling_interval: float = 0.02,
         csi: str = "perfect",
@@ -54,6 +63,11 @@ class Scheduler(SlotTransform):
         max_doppler_hz: float = 0.0,
         loss: IidLoss | GilbertElliott | None = None,
         fading: str = "rayleigh",
+        decoding: Decoding | AdaptedDecoding | None = None,
+        demand: Callable[[int, Tensor], Tensor] = resource_units,
+        outcome_keys: tuple[str, str] = ("delivered", "age_of_information"),
+        weight: Tensor | None = None,
+        age_cost: Tensor | None = None,
     ):
         if (resource_blocks is None) == (payload_bits is None):
             raise ValueError("give either resource_blocks (devices per slot) or payload_bits (bits per update)")
@@ -65,9 +79,11 @@ class Scheduler(SlotTransform):
         self.decide = get_scheduler(scheduler)
         self.payload_bits = payload_bits
         self.budget = resource_blocks if payload_bits is None else (units or units_per_slot(sampling_interval))
-        self.csi = csi
+        self.csi, self.weight, self.age_cost = csi, weight, age_cost
         self.snr_threshold = float(db_to_linear(snr_threshold_db))
-        self.belief = make_belief(csi, self.snr_threshold, csi_delay, loss, max_doppler_hz, sampling_interval, fading)
+        decoding = self.snr_threshold if decoding is None else decoding
+        self.belief = make_belief(csi, decoding, csi_delay, loss, max_doppler_hz, sampling_interval, fading)
+        self.demand, self.outcome_keys, self.previous_keys = demand, outcome_keys, outcome_keys
 
     def _specs(self, incoming: Composite) -> dict[str, TensorSpec]:
         specs = {"scheduled": flag_spec(incoming), "scheduler_memory": number_spec(incoming, dtype=torch.float64)}
@@ -105,7 +121,8 @@ class Scheduler(SlotTransform):
         shape, device = current.batch_size, current.device
         everyone = torch.ones(shape, dtype=torch.bool, device=device)
         perfect = torch.ones(shape, dtype=torch.float64, device=device)
-        age, belief, delivered = (previous[k] for k in ("age_of_information", "channel_belief", "delivered"))
+        delivered, age = (previous[key] for key in self.outcome_keys)
+        belief = previous["channel_belief"]
         known = Known(
             age=torch.ones(shape, dtype=torch.int64, device=device) if age is None else age,
             snr=perfect,
@@ -114,17 +131,22 @@ class Scheduler(SlotTransform):
             candidate=everyone,
             budget=self.budget,
             memory=previous["scheduler_memory"],
-            **{key: current.get(key, None) for key in ("urgency", "weight", "slot")},
+            weight=current.get("weight", self.weight),
+            signalling_bits=current.get("signalling_bits", 0),
+            **{key: current.get(key, None) for key in ("urgency", "expected_gain", "true_error", "slot")},
         )
+        if self.age_cost is not None:
+            known = known._replace(age_cost=age_cost(self.age_cost, known.age))
         if current.get("snr", None) is None:
             return belief, known
         # without an Uplink, and in the first slot of an episode, there is no outcome to learn from
         arrived = ~everyone if delivered is None else delivered
         sent = ~everyone if delivered is None else previous["scheduled"]
-        belief, link = self.belief.step(belief, current["mean_snr"], current["snr"], sent, arrived)
+        gains = {"gain": current.get("gain", None)} if isinstance(self.belief, PredictedCsi) else {}
+        belief, link = self.belief.step(belief, current["mean_snr"], current["snr"], sent, arrived, **gains)
         return belief, known._replace(**link._asdict())
 
     def _demand(self, known: Known, current: TensorDictBase) -> Tensor:
         require_key(current, "snr", "Scheduler with payload_bits", "a Channel")
         snr = known.snr if self.csi == "perfect" else torch.zeros_like(known.snr)
-        return resource_units(self.payload_bits, snr.clamp(min=self.snr_threshold))
+        return self.demand(self.payload_bits, snr.clamp(min=self.snr_threshold))

@@ -1,0 +1,163 @@
+"""Fleets whose schedulers look at need: from pixels and from states, of unlike devices, and what they are worth."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+from open_plant import OpenPlant, right_model
+from torch import nn
+
+from tsjepa.envs import Radio, make_env
+from tsjepa.envs.need import cost_of_age
+from tsjepa.envs.settings import Requests
+from tsjepa.evaluation.fleet_summary import summary
+from tsjepa.evaluation.rollouts import Loop, run
+from tsjepa.plants import CartPole, Mixed, Pendulum, Reacher
+from tsjepa.radio.cost import age_cost_table
+
+NOISY = OpenPlant(process_noise_std=0.02)
+LOOP = Loop(NOISY, "linear", num_devices=6, slots=20, radio=Radio(resource_blocks=2))
+
+
+class Probe(nn.Module):
+    """The state that ``open_plant.lift`` has lifted."""
+
+    def forward(self, embedding):
+        return embedding[..., :4] / embedding[..., 4:].clamp_min(1e-6)
+
+
+def seeing(plant=NOISY):
+    model = right_model(plant)
+    model.probe = Probe()
+    return model
+
+
+def watched(loop, *keys):
+    """[T, I, ...] of each key, and the run."""
+    seen = []
+    outcome = run(loop, 0, lambda slot, now: seen.append(now.select(*keys)))
+    return torch.stack(seen), outcome
+
+
+@pytest.mark.parametrize("scheduler", ["urgency", "genie", "expected_urgency"])
+def test_a_model_that_is_right_needs_what_the_true_state_needs(scheduler):
+    """Its embedding is the state, its predictor the plant: against prediction by the plant's own equations."""
+    keys = ("expected_gain",) if scheduler == "expected_urgency" else ("urgency", "true_error")
+    from_pixels, _ = watched(replace(LOOP, scheduler=scheduler, controller=seeing()), *keys)
+    from_states, _ = watched(replace(LOOP, scheduler=scheduler, controller="exact"), *keys)
+    for key in keys:
+        torch.testing.assert_close(from_pixels[key], from_states[key], atol=2e-3, rtol=0.02)
+
+
+def test_cameras_run_all_the_time_only_where_devices_watch():
+    for scheduler, always in (("urgency", True), ("expected_urgency", False), ("channel_aware", False)):
+        model = seeing()
+        seen, _ = watched(replace(LOOP, scheduler=scheduler, controller=model), "embedding", "scheduled")
+        looked = seen["embedding"].abs().sum(-1) > 0
+        assert looked.all() if always else torch.equal(looked, seen["scheduled"])
+        assert model.encoder.given[3].shape[0] == (6 if always else seen["scheduled"][3].sum())
+
+
+def test_the_urgency_of_a_state_is_the_experts_command_before_it_saturates():
+    seen, _ = watched(replace(LOOP, scheduler="genie", controller="linear"), "true_error", "state")
+    expert = NOISY.experts()["expert"]
+    first = (expert.unsaturated(seen["state"][0]) / 40.0).abs()[:, 0].double()
+    torch.testing.assert_close(seen["true_error"][0], first)
+    assert first.max() > 0.5  # more than the actuator has
+    told = expert.unsaturated(torch.tensor([[2.0, 0.1, 0, 0], [0.1, 0.1, 0, 0]]))
+    clipped = expert.unsaturated(torch.tensor([[0.65, 0.1, 0, 0]]))
+    assert torch.equal(told[0], clipped[0]) and not torch.equal(told[1], clipped[0])
+
+
+def test_a_model_without_a_probe_compares_its_commands_within_the_actuators_range():
+    loop = replace(LOOP, scheduler="genie", controller=right_model(NOISY))
+    seen, _ = watched(loop, "true_error", "state")
+    command = NOISY.experts()["expert"](seen["state"][0])
+    torch.testing.assert_close(seen["true_error"][0], (command / 40.0).abs()[:, 0].double(), atol=1e-4, rtol=1e-4)
+    assert seen["true_error"].max() <= 1
+
+
+def test_frames_cannot_be_compared():
+    loop = replace(LOOP, controller=seeing(), radio=Radio(resource_blocks=2, codec="raw"))
+    with pytest.raises(ValueError, match="choose a codec of embeddings"):
+        run(replace(loop, scheduler="urgency"), 0)
+    assert run(replace(loop, scheduler="expected_urgency", slots=3), 0).delivered.any()
+
+
+def test_requests_are_counted_and_nobody_else_pays():
+    outcomes = [run(replace(LOOP, scheduler=name, slots=5), 0) for name in ("urgency", "channel_aware")]
+    row = summary("urgency", [outcomes[0]] * 2, torch.ones(2, 6))
+    assert row["signalling_bits_per_device_and_slot"] == 4.0
+    assert outcomes[1].signalling_bits is None
+    assert "signalling_bits_per_device_and_slot" not in summary("", [outcomes[1]] * 2, torch.ones(2, 6))
+    two = replace(LOOP.radio, requests=Requests(bits=2, delay=0))
+    assert (run(replace(LOOP, scheduler="urgency", slots=5, radio=two), 0).signalling_bits == 2).all()
+
+
+def test_a_function_of_the_users_own_is_told_the_urgency_where_requests_are_set():
+    told = []
+
+    def scheduler(known):
+        told.append(known.urgency)
+        return known.candidate, known.memory
+
+    run(replace(LOOP, scheduler=scheduler, slots=2), 0)
+    run(replace(LOOP, scheduler=scheduler, slots=2, radio=replace(LOOP.radio, requests=Requests())), 0)
+    assert [value is None for value in told] == [True] * 3 + [False] * 3
+
+
+def test_what_differs_between_devices_is_dealt_out_in_turn():
+    radio = Radio(resource_blocks=None, snr_target_db=(0.0, 10.0), payload_bits=(500, 500, 4000), priority=(1.0, 2.0))
+    known = []
+
+    def scheduler(now):
+        known.append(now)
+        return now.candidate, now.memory
+
+    env = make_env(NOISY, 6, scheduler, radio)
+    mean = env.reset()["mean_snr"]
+    torch.testing.assert_close(mean, torch.tensor([1.0, 10.0]).repeat(3))
+    assert known[0].weight.tolist() == [1, 2, 1, 2, 1, 2]
+    per_bit = known[0].demand / torch.tensor([500, 500, 4000]).repeat(2)
+    rate = torch.log2(1 + known[0].snr.clamp(min=10**0.5)) * 180
+    assert ((per_bit - 1 / rate).abs() <= 1 / 500).all()
+    with pytest.raises(ValueError, match="priority"):
+        Radio(priority=(1.0, 0.0))
+    with pytest.raises(ValueError, match="snr_target_db"):
+        Radio(snr_target_db=(0.0, 300.0))
+
+
+def test_the_cost_of_age_is_each_plants_own():
+    kinds = [CartPole(pole_length=length, process_noise_std=0.01) for length in (0.5, 1.5)]
+    table = cost_of_age(Mixed(kinds), 5)
+    for device in range(5):
+        plant = kinds[device % 2]
+        torch.testing.assert_close(table[device], age_cost_table(plant.linear()[0], *plant.error_cost(), 300))
+    assert (table[0, 100:] > table[1, 100:]).all()  # a shorter pole falls faster
+    with pytest.raises(ValueError, match="costs nothing"):
+        cost_of_age(CartPole(), 2)
+    for plant in (Reacher(), Pendulum()):
+        with pytest.raises(ValueError, match="does not say what an error"):
+            cost_of_age(plant, 2)
+
+
+@pytest.mark.slow
+def test_urgency_serves_a_crowd_that_age_cannot():
+    crowd = Loop(
+        OpenPlant(process_noise_std=0.008), "linear", num_devices=40, slots=250, radio=Radio(resource_blocks=2)
+    )
+    outcomes = {name: run(replace(crowd, scheduler=name), 0) for name in ("channel_aware", "urgency", "genie")}
+    score = {name: outcome.raw_score().mean() for name, outcome in outcomes.items()}
+    fallen = {name: outcome.failed().float().mean() for name, outcome in outcomes.items()}
+    assert score["urgency"] > 1.2 * score["channel_aware"] and score["genie"] > score["urgency"] - 0.02
+    assert fallen["urgency"] < fallen["channel_aware"] / 2
+
+
+@pytest.mark.slow
+def test_the_plants_cost_beats_plain_age_among_unlike_devices():
+    kinds = [OpenPlant(pole_length=length, process_noise_std=0.008) for length in (0.5, 1.0, 1.5)]
+    radio = Radio(resource_blocks=3, snr_target_db=(5.0, 10.0, 15.0, 20.0))
+    fleet = Loop(Mixed(kinds), "linear", num_devices=30, slots=250, radio=radio)
+    for ours, theirs in (("channel_aware_cost", "channel_aware"), ("whittle_cost", "whittle")):
+        weighed, plain = (run(replace(fleet, scheduler=name), 0).raw_score().mean() for name in (ours, theirs))
+        assert weighed > plain

@@ -1,0 +1,121 @@
+"""What a scheduler by need looks at, put into the chain in front of it."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from tsjepa.envs.payload import sends_frames
+from tsjepa.envs.settings import Radio, Requests
+from tsjepa.envs.transforms import Camera, Encode, Estimator, ExpectedGain, Scheduler, Twin, Urgency
+from tsjepa.envs.weights import at_weights
+from tsjepa.models import Controller
+from tsjepa.plants.plant import Plant
+from tsjepa.radio.cost import age_cost_table
+from tsjepa.radio.schedulers import SchedulerFunction
+from tsjepa.support.deal import deal
+
+SAID, EXPECTED, TRUE = "urgency", "expected_urgency", "genie"
+BY_COST = ("channel_aware_cost", "whittle_cost")
+LARGEST_AGE = 300  # slots; beyond it the cost of age is taken for constant
+NAMES = (SAID, EXPECTED, TRUE)
+
+
+def watched(
+    chain: list[nn.Module],
+    scheduler: str | SchedulerFunction,
+    radio: Radio,
+    plant: Plant,
+    controller: str | Controller,
+) -> list[nn.Module]:
+    """The chain with what its scheduler needs in front of it; the same chain where it needs nothing of the kind.
+
+    Devices watch all the time for the schedulers "urgency" and "genie", and for a function where ``radio.requests`` is
+    given: then camera and encoder stand before the scheduler.
+
+    Args:
+        chain: from the channel to the far end.
+        scheduler, radio, plant, controller: as of :func:`tsjepa.envs.make.make_env`.
+
+    Raises:
+        ValueError: a device that is to watch, and does not make what it would have to compare.
+    """
+    asks = radio.requests is not None if callable(scheduler) else scheduler in NAMES
+    if not asks:
+        return chain
+    place = next(index for index, part in enumerate(chain) if isinstance(part, Scheduler))
+    twin = twin_of(chain[-1], plant, controller)
+    if scheduler == EXPECTED:
+        received = "embedding" if sends_frames(radio.codec) else "received"
+        return [*chain[:place], ExpectedGain(twin, received), *chain[place:]]
+    sees = [part for part in chain[place:] if isinstance(part, Camera) or _encodes_pixels(part)]
+    if sees and not isinstance(sees[-1], Encode):
+        raise ValueError(
+            f"The scheduler {scheduler!r} compares embeddings, which a device that sends frames (codec "
+            f"{radio.codec!r}) does not make: choose a codec of embeddings."
+        )
+    key = "embedding" if sees else "state"
+    requests = Requests() if radio.requests is None else radio.requests
+    says = Urgency(twin, key) if scheduler == TRUE else Urgency(twin, key, requests.code(), requests.delay)
+    rest = [part for part in chain[place:] if part not in sees]
+    return [*chain[:place], *sees, says, *rest]
+
+
+def twin_of(far_end: nn.Module, plant: Plant, controller: str | Controller) -> Twin:
+    """The controller behind ``far_end`` as its devices know it.
+
+    Commands are those of the plant's expert before they saturate, in the state that a model's probe reads, where the
+    expert can say them: a device that is being lost asks for more than the actuator has, and an error of its state
+    would not show in what the actuator gives. Else they are the controller's own, within the actuator's range.
+    """
+    low, high = (torch.tensor(bound) for bound in (plant.spec.action_low, plant.spec.action_high))
+    expert, model = next(iter(plant.experts().values())), controller if isinstance(controller, Controller) else None
+    predicts = isinstance(far_end, Estimator)
+    probe = None if model is None else getattr(model, "probe", None)
+    read = None if probe is None else at_weights(model, model.probe)
+    unsaturated = getattr(expert, "unsaturated", None) if predicts else None
+    if model is None:
+        law = unsaturated or expert
+    elif read is None or unsaturated is None:
+        law = at_weights(model, model.act)
+    else:
+
+        def law(embedding: Tensor, reference: Tensor | None) -> Tensor:
+            return unsaturated(read(embedding), reference)
+
+    def failed(seen: Tensor) -> Tensor:
+        if model is not None and read is None:
+            return torch.zeros(seen.shape[:-1], dtype=torch.bool, device=seen.device)
+        return torch.as_tensor(plant.failed(seen if read is None else read(seen)))
+
+    return Twin(
+        law=lambda seen, reference: law(seen, reference).to(torch.float32) / (high - low),
+        failed=failed,
+        predict=far_end.predict if predicts else None,
+        rest=low.new_tensor(np.clip(0.0, low.numpy(), high.numpy())) / (high - low),
+        action_range=high - low,
+        holds=not predicts and far_end.between == "hold",
+    )
+
+
+def cost_of_age(plant: Plant, num_devices: int) -> Tensor:
+    """tr(P sum_{k < h} A^k W A^kT) at the ages h = 0, 1, ... of each device, [I, ages].
+
+    Raises:
+        ValueError: a plant that does not say what an error costs, or that nothing disturbs.
+    """
+    priced, model = plant.error_cost(), plant.linear()
+    if priced is None or model is None:
+        raise ValueError(
+            f"{type(plant).__name__} does not say what an error of its state costs (error_cost, linear): choose a "
+            "scheduler without the plant's cost of age."
+        )
+    table = age_cost_table(model[0], *priced, LARGEST_AGE)
+    if not bool((table[..., -1] > 0).all()):
+        raise ValueError("A plant without process noise is predicted without error, so that its age costs nothing.")
+    return deal(table if table.ndim > 1 else table.unsqueeze(0), num_devices)
+
+
+def _encodes_pixels(part: nn.Module) -> bool:
+    return isinstance(part, Encode) and part.in_keys == ["pixels"]
