@@ -1,9 +1,11 @@
 """A small recording by LeRobot's own writer: the pictures and commands it was given, and the program that gave them.
 
 ``python tests/data/lerobot_recording.py FOLDER`` writes it, in an environment that has ``lerobot[dataset]``;
-``tests/data/lerobot_0_6_1`` is what version 0.6.1 wrote. Needs nothing of tsjepa.
+``lerobot_0_6_1`` (format v3.0) and ``lerobot_0_3_3`` (v2.1) beside this file are what those versions wrote.
+Needs nothing of tsjepa.
 """
 
+import inspect
 import sys
 
 import numpy as np
@@ -45,12 +47,15 @@ def write(folder: str) -> None:
         },
     }  # fmt: skip
     recording = LeRobotDataset.create("tests/spot", fps=RATE_HZ, features=features, root=folder, robot_type="spot")
+    task = {"task": "move the spot"}
+    apart = "task" in inspect.signature(recording.add_frame).parameters  # so up to LeRobot 0.3
     for episode in range(len(LENGTHS)):
         for picture, command, state in zip(pictures(episode), commands(episode), states(episode), strict=True):
             row = {"observation.images.front": picture, "action": command, "observation.state": state}
-            recording.add_frame(row | {"task": "move the spot"})
+            recording.add_frame(row, **task) if apart else recording.add_frame(row | task)
         recording.save_episode()
-    recording.finalize()
+    if not apart:
+        recording.finalize()
 
 
 if __name__ == "__main__":

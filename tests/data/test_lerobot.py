@@ -47,11 +47,11 @@ def trajectories(folder: Path) -> dict[str, np.ndarray]:
     return {key: np.concatenate([split[key].numpy() for split in splits]) for key in ("pixels", "action", "state")}
 
 
-def assert_imported(recording: Path, folder: Path) -> None:
+def assert_imported(recording: Path, folder: Path, version: str) -> None:
     """The data set of the recording holds the commands and states it was made of, and the pictures but for AV1."""
     import_recording(str(recording), str(folder), size=None, slots=SLOTS, validation=0, test=0)
     metadata = read_metadata(folder)
-    assert metadata["source"]["format"] == "LeRobot v3.0" and metadata["spec"]["slot"] == pytest.approx(0.05)
+    assert metadata["source"]["format"] == f"LeRobot {version}" and metadata["spec"]["slot"] == pytest.approx(0.05)
     assert metadata["spec"]["action_names"] == ["force_n"] and metadata["spec"]["action_units"] == ["N"]
     got = trajectories(folder)
     starts = [(episode, first) for episode, rows in enumerate(source.LENGTHS) for first in {0, rows - SLOTS - 1}]
@@ -71,14 +71,15 @@ def assert_imported(recording: Path, folder: Path) -> None:
     assert found == set(starts)
 
 
-def test_what_lerobots_writer_left_is_imported(tmp_path):
-    assert_imported(HERE / "lerobot_0_6_1", tmp_path / "set")
+@pytest.mark.parametrize(("recording", "version"), [("lerobot_0_6_1", "v3.0"), ("lerobot_0_3_3", "v2.1")])
+def test_what_lerobots_writer_left_is_imported(recording, version, tmp_path):
+    assert_imported(HERE / recording, tmp_path / "set", version)
 
 
 @pytest.mark.slow
 def test_what_the_installed_lerobot_writes_is_imported(needs_lerobot, tmp_path):
     in_lerobot("lerobot_recording.py", str(tmp_path / "recording"))
-    assert_imported(tmp_path / "recording", tmp_path / "set")
+    assert_imported(tmp_path / "recording", tmp_path / "set", "v3.0")
 
 
 @pytest.mark.slow
