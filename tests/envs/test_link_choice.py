@@ -123,5 +123,5 @@ def test_power_control_and_repetitions_are_counted():
 def test_granted_units_are_milliseconds():
     chain = [Channel(), Scheduler("max_age", payload_bits=640, units=50), Energy(EnergyModel(), tx_power_dbm=30.0)]
     data = rollout(*chain, slots=4)
-    torch.testing.assert_close(data["energy_j"].double(), data["resource_units"] * 1e-3, atol=0, rtol=1e-6)
+    torch.testing.assert_close(data["energy_j"].double(), data["resource_units"].double() * 1e-3, atol=0, rtol=1e-6)
     assert data["resource_units"].max() > 0

@@ -105,7 +105,7 @@ def test_the_reachers_finger_is_where_mujoco_has_it():
 
 @pytest.mark.parametrize(
     ("goal_slots", "slots", "hold", "low", "high"),
-    [(0, 150, 1, 0.83, 0.91), (50, 200, 1, 0.58, 0.70), (0, 150, 5, 0.30, 0.48), (0, 150, 20, 0.0, 0.08)],
+    [(0, 150, 1, 0.83, 0.91), (50, 200, 1, 0.58, 0.70), (0, 150, 5, 0.44, 0.55), (0, 150, 20, 0.0, 0.08)],
 )
 def test_what_the_reachers_expert_scores(goal_slots, slots, hold, low, high):
     score, failed, _ = run(Reacher(goal_slots=goal_slots), slots, count=100, hold=hold)

@@ -15,7 +15,7 @@ from tsjepa.support.parallel import rank_and_world_size
 from tsjepa.support.seeds import derive, run_seed
 from tsjepa.training.controllers import new_controller, train_only
 from tsjepa.training.embeddings import commands_to_imitate
-from tsjepa.training.schedule import warmup_cosine_schedule
+from tsjepa.training.schedule import adamw, warmup_cosine_schedule
 from tsjepa.training.statistics import command_nmae, squared_command_error
 
 
@@ -109,10 +109,14 @@ class SemanticActor(lightning.LightningModule):
             stream.manual_seed(self.stream("dropout"))
             command = self.model.actor.unclipped(batch["embedding"], reference)
         imitation = squared_command_error(command, wanted, self.model.spec)
+        self.log_terms(imitation)
+        return imitation
+
+    def log_terms(self, imitation: Tensor) -> None:
+        """Logs the steps that the logger takes and an epoch's last: Lightning's accounts of all cost a tenth of it."""
         every = self.trainer.log_every_n_steps
         if self.trainer.is_last_batch or (every and (self.global_step + 1) % every == 0):
-            self.log("imitation_loss", imitation, prog_bar=True)  # not at every step, of which it would be a tenth
-        return imitation
+            self.log("imitation_loss", imitation, prog_bar=True)
 
     def stream(self, purpose: str) -> int:
         """Seed of a stream of this step and process."""
@@ -144,9 +148,7 @@ class SemanticActor(lightning.LightningModule):
         return batch.clone(recurse=False).set("command", command)
 
     def configure_optimizers(self):
-        optimizer = torch.optim.AdamW(
-            self.model.actor.parameters(), self.learning_rate, weight_decay=self.weight_decay, fused=True
-        )
+        optimizer = adamw(self.model.actor.parameters(), self.learning_rate, self.weight_decay)
         total = self.trainer.estimated_stepping_batches
         schedule = warmup_cosine_schedule(optimizer, total)
         return {"optimizer": optimizer, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}

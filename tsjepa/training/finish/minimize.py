@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from contextlib import AbstractContextManager
 
-import torch
 from torch import Tensor, nn
 from tqdm import trange
 
-from tsjepa.training.schedule import warmup_cosine_schedule
+from tsjepa.training.schedule import adamw, warmup_cosine_schedule
 
 # Makes the context of a forward pass, ``trainer.precision_plugin.forward_context``; losses are taken outside it.
 ForwardContext = Callable[[], AbstractContextManager]
@@ -35,7 +34,7 @@ def minimize(
         what: said beside the progress bar.
     """
     parameters = [parameter.requires_grad_() for parameter in parameters]  # the fit may have left them out
-    optimizer = torch.optim.AdamW(parameters, learning_rate, weight_decay=weight_decay, fused=True)
+    optimizer = adamw(parameters, learning_rate, weight_decay)
     schedule = warmup_cosine_schedule(optimizer, steps)
     progress = trange(steps, desc=what, unit="step")
     for step in progress:
