@@ -151,13 +151,3 @@ def test_urgency_serves_a_crowd_that_age_cannot():
     fallen = {name: outcome.failed().float().mean() for name, outcome in outcomes.items()}
     assert score["urgency"] > 1.2 * score["channel_aware"] and score["genie"] > score["urgency"] - 0.02
     assert fallen["urgency"] < fallen["channel_aware"] / 2
-
-
-@pytest.mark.slow
-def test_the_plants_cost_beats_plain_age_among_unlike_devices():
-    kinds = [OpenPlant(pole_length=length, process_noise_std=0.008) for length in (0.5, 1.0, 1.5)]
-    radio = Radio(resource_blocks=3, snr_target_db=(5.0, 10.0, 15.0, 20.0))
-    fleet = Loop(Mixed(kinds), "linear", num_devices=30, slots=250, radio=radio)
-    for ours, theirs in (("channel_aware_cost", "channel_aware"), ("whittle_cost", "whittle")):
-        weighed, plain = (run(replace(fleet, scheduler=name), 0).raw_score().mean() for name in (ours, theirs))
-        assert weighed > plain
