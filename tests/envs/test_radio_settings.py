@@ -59,6 +59,7 @@ def test_the_exact_controller_knows_the_state_though_updates_are_late_and_comman
     torch.testing.assert_close(data["belief"][informed], data["state"][informed], atol=1e-3, rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_a_buffer_covers_lost_commands_that_a_holding_actuator_feels():
     """On the true state, without noise, for devices whose first packet arrives: the commands of a lossless downlink."""
 

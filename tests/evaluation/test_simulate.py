@@ -31,6 +31,7 @@ def simulate(tmp_path, recipe, *options):
     return cli.main(["simulate", "--config", str(RECIPES / recipe), "--output", str(tmp_path), *SMALL, *options])
 
 
+@pytest.mark.slow
 def test_a_fleet_from_its_recipe(tmp_path, capsys):
     options = ["--num_devices=5", "--schedulers=[channel_aware, oracle]", "--video=false"]
     assert simulate(tmp_path, "fleet.yaml", *options) == 0
@@ -48,6 +49,7 @@ def test_a_fleet_from_its_recipe(tmp_path, capsys):
     assert (tmp_path / "again.png").read_bytes() == (tmp_path / "ages.png").read_bytes()
 
 
+@pytest.mark.slow
 def test_a_search_from_its_recipe(tmp_path, capsys):
     options = ["--search_over=[2, 5]", "--schedulers=[round_robin, none]", "--controller=linear"]
     assert simulate(tmp_path, "fleet-search.yaml", *options) == 0
@@ -77,6 +79,7 @@ def test_every_kind_of_model_controls_a_fleet_of_its_own_plants_and_is_filmed(tm
     assert (tmp_path / "fleet.gif").stat().st_size > 1000
 
 
+@pytest.mark.slow
 def test_a_scheduler_of_the_users_own_is_named_by_its_function(tmp_path):
     def nobody(known):
         return torch.zeros_like(known.candidate), known.memory
@@ -136,6 +139,7 @@ def interrupted(tmp_path, monkeypatch):
     return searched
 
 
+@pytest.mark.slow
 def test_a_search_that_was_killed_goes_on_where_it_was(interrupted):
     assert interrupted(after=3) == [(6, 0), (6, 1), (7, 0)]
     assert interrupted() == [(7, 1)]

@@ -13,6 +13,8 @@ from tsjepa.paper import FIGURES, claims, command, module_of, store
 from tsjepa.paper.film import film
 from tsjepa.paper.report import explained
 
+pytestmark = pytest.mark.slow  # draws figures and films
+
 ROOT = Path(__file__).parents[2]
 RESULTS = ROOT / command.RESULTS
 ZOO = {
@@ -184,7 +186,6 @@ def test_wrong_options_are_answered_in_one_sentence(options, said, capsys, tmp_p
     assert said in complaint and len(complaint.splitlines()) == 1
 
 
-@pytest.mark.slow
 def test_a_small_sweep_by_the_command_and_its_check(tmp_path, capsys):
     settings = {"intervals_ms": [20, 40], "augmentations": ["none"], "seeds": 2, "episodes": 1, "pairs": 2}
     options = ["figures", "--figure", "frame_change", "--results", str(tmp_path)]

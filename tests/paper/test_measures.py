@@ -11,6 +11,8 @@ from tsjepa.paper import devices, frame_change, tsne
 from tsjepa.paper.grids import grid
 from tsjepa.paper.rows import command_rows, expert_embeddings, loop_of, loop_rows, thinned
 
+pytestmark = pytest.mark.slow  # closes loops
+
 LOOP = {"model": None, "sends": "state", "codec": "fp32", "update_every": 1, "between": "hold"}
 SIZES = {"seeds": 2, "starts": 6, "slots": 100, "process_noise_std": 0.0}
 
@@ -177,7 +179,6 @@ FLEET = {"model": None, "codec": "fp32", "resource_blocks": 3, "snr_target_db": 
 FLEET |= {"smallest": 6, "largest": 16, "also_at": 7, "seeds": 2, "slots": 100, "process_noise_std": 0.008}
 
 
-@pytest.mark.slow
 def test_a_fleet_of_a_point_is_searched_and_measured():
     rows = {name: devices.device_rows(FLEET | {"scheduler": name}) for name in ("channel_aware", "round_robin")}
     for mine in rows.values():

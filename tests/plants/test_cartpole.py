@@ -44,6 +44,7 @@ def test_reference_gain_has_the_recorded_digits():
     assert [round(k, 1) for k in gentle.tolist()] == [-24.5, -121.1, -24.7, -32.2]
 
 
+@pytest.mark.slow
 def test_expert_settles_every_start():
     score, failed, final = run(CartPole(), 100, count=100)
     assert failed == 0 and score >= 0.42

@@ -71,6 +71,7 @@ def test_channel_aware_lies_between_the_bound_and_opportunistic(system):
     assert mean_age_lower_bound(*system) < age < 0.9 * mean_age_opportunistic(*system)
 
 
+@pytest.mark.slow
 def test_the_printed_sign_behind_the_gate_is_ten_times_older():
     system = SYSTEMS[0]
     literal = simulated_age("channel_aware_literal", *system, slots=16_000, batch=12)
@@ -104,6 +105,7 @@ def test_counts_survive_many_slots():
     assert trace.deliveries.double().mean().item() == pytest.approx(350, abs=60)
 
 
+@pytest.mark.slow
 def test_less_channel_knowledge_means_older_information():
     system = SYSTEMS[0]
     ages = [simulated_age("channel_aware", *system, csi=csi) for csi in ("perfect", "statistical")]

@@ -14,6 +14,7 @@ from tsjepa.training.finish.decoder import fit_background
 D = 8
 
 
+@pytest.mark.slow
 def test_the_estimator_learns_to_read_what_the_frozen_decoder_draws_and_nothing_else_changes():
     model = tiny_controller.tiny_autoencoder()
     torch.manual_seed(0)

@@ -160,6 +160,7 @@ def test_16_bits_are_scored_before_they_are_shipped(entry, monkeypatch):
     assert not Path("checkpoints/worse").exists()
 
 
+@pytest.mark.slow
 def test_verify_measures_the_scores_of_the_card_again(entry, capsys):
     assert cli.main(["zoo", "verify", str(entry)]) == 0
     (line,) = capsys.readouterr().out.splitlines()[-1:]
@@ -171,6 +172,7 @@ def test_verify_measures_the_scores_of_the_card_again(entry, capsys):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("change", [{"per_seed": [9.0, 9.0]}, {"per_seed": [float("nan")] * 2}])
 def test_verify_fails_with_one_sentence_where_a_score_has_left_its_interval(entry, capsys, change):
     model = tsjepa.load(entry)
@@ -277,6 +279,8 @@ def test_the_list_says_what_the_card_says():
         scores = [cell.rpartition(", ") for heading, cell in listed.items() if heading.startswith("every")]
         assert len(scores) == 4
         for score, _, failures in scores:
+            if failures == "-":
+                continue  # at that period it was not run
             assert score in shown
             assert f"{failures} of 100" in shown
 

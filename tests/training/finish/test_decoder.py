@@ -47,6 +47,7 @@ def test_contrast_falls_off_smoothly_around_what_moves(squares):
     assert (column[:12] == 1).all() and (column[52:] == 1).all() and (column[28:36] == column[28:36].max()).all()
 
 
+@pytest.mark.slow
 def test_the_decoder_learns_to_draw_what_the_embedding_tells_and_repeats_itself(squares):
     embedding, frames, background = squares
     drawn = []
