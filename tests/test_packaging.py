@@ -122,7 +122,7 @@ def embeddings() -> dict[str, list[float]]:
     result = {}
     for name in entries.names():
         model = tsjepa.load(name)
-        shape = (1, model.frame_stack, 64, 128, 3)
+        shape = (1, *model.encoder.frame_shape)
         noise = torch.randint(0, 256, shape, dtype=torch.uint8, generator=torch.Generator().manual_seed(0))
         result[name] = model.encode(noise)[0, :8].tolist()
     return result
