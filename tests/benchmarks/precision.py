@@ -18,6 +18,7 @@ from tsjepa.support.precision import BFLOAT16, FLOAT32, MEMORY_FORMATS, Precisio
 from tsjepa.training.jepa import TSJEPA
 
 WINDOWS, STACKS = 32, 8  # of a step of recipes/jepa.yaml
+ENCODER = {"widths": (32, 64, 128), "embedding_dim": 64, "grey": True, "stem_kernel": 1}  # as there
 TARGET = 0.95
 
 
@@ -33,7 +34,7 @@ class Step(TSJEPA):
 def make_step(precision: Precision, device: torch.device):
     """A function that takes one optimizer step in the given precision."""
     torch.manual_seed(0)
-    encoder = Encoder(2, (32, 64, 128), 64, grey=True)
+    encoder = Encoder(**ENCODER)
     module = Step(encoder, Predictor(64, 512), Augmentation()).to(device)
     module.to(memory_format=MEMORY_FORMATS[precision.memory_format]).train()
     optimizer = module.optimizer([part for part in module.parameters() if part.requires_grad])
@@ -60,7 +61,7 @@ def measure(rounds: int) -> dict:
     """Steps of the four in turns."""
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
     keep_freed_memory()
-    chosen = choose(Encoder(2, (32, 64, 128), 64, grey=True), device)
+    chosen = choose(Encoder(**ENCODER), device)
     every = [Precision(trainer, memory) for trainer in (BFLOAT16, FLOAT32) for memory in MEMORY_FORMATS]
     steps = {precision: make_step(precision, device) for precision in every}
     for step in steps.values():
