@@ -16,6 +16,7 @@ from torch import Tensor
 from tqdm import tqdm
 
 from tsjepa.data.contact_sheet import contact_sheet
+from tsjepa.data.frames import release
 from tsjepa.data.storage import JOURNAL, check_space, publish, start_split, write_picture
 from tsjepa.envs import FleetEnv
 from tsjepa.plants import Plant, build_plant, describe_plant
@@ -210,6 +211,7 @@ def render_missing(stored: dict[str, TensorDict], journal: Journal, workers: Wor
         for index, pixels in run_items(render_episode, scenes(), workers):
             split, episode = missing[index]
             stored[split]["pixels"][episode] = torch.from_numpy(pixels)
+            release(stored[split]["pixels"])
             journal.add(f"{split} {episode}")
             progress.update(len(pixels))
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import accumulate
 
 import numpy as np
 import torch
@@ -12,6 +11,7 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torch.utils.data import Dataset, Sampler
 
+from tsjepa.data.frames import Frames
 from tsjepa.models.encoder import PATCH
 from tsjepa.support.seeds import derive
 
@@ -113,8 +113,7 @@ class WindowDataset(Dataset):
     """
 
     def __init__(self, splits: Sequence[TensorDictBase], stacks: int, frame_stack: int, frame_spacing: int) -> None:
-        self.pixels = [torch.from_numpy(split["pixels"].numpy()).flatten(0, 1) for split in splits]
-        self.bounds = torch.tensor(list(accumulate(map(len, self.pixels), initial=0)))
+        self.pixels = Frames(splits)
         self.action = torch.cat([split["action"].flatten(0, 1) for split in splits])
         self.expert_action = torch.cat([split.get("expert_action", split["action"]).flatten(0, 1) for split in splits])
         self.frames, self.stacks = splits[0].shape[1], stacks
@@ -143,20 +142,12 @@ class WindowDataset(Dataset):
     def stack(self, newest: Tensor) -> Tensor:
         """Patches [..., H / 4, W / 4, 48 * kappa] of the stacks that end at the frames numbered ``newest`` [...]."""
         numbers, places = (newest.flatten()[:, None] + self.offsets).unique(return_inverse=True)
-        patches = patches_of(self.read(numbers))
+        patches = patches_of(self.pixels[numbers])
         stacks = patches.new_empty(newest.numel(), *patches.shape[1:3], len(self.offsets), patches.shape[3])
         for frame in range(len(self.offsets)):
             # straight to its place: to concatenate afterwards would read and write every byte once more
             torch.index_select(patches, 0, places[:, frame], out=stacks[..., frame, :])
         return stacks.flatten(3).unflatten(0, newest.shape)
-
-    def read(self, numbers: Tensor) -> Tensor:
-        """Frames [N, H, W, 3] from the maps; ``numbers`` [N] ascend."""
-        frames = self.pixels[0].new_empty(len(numbers), *self.pixels[0].shape[1:])
-        cuts = torch.searchsorted(numbers, self.bounds).tolist()
-        for pixels, first, start, end in zip(self.pixels, self.bounds.tolist(), cuts, cuts[1:], strict=False):
-            torch.index_select(pixels, 0, numbers[start:end] - first, out=frames[start:end])
-        return frames
 
 
 def patches_of(frames: Tensor) -> Tensor:

@@ -10,6 +10,7 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
+from tsjepa.data.frames import Frames
 from tsjepa.models import Encoder
 from tsjepa.models.autoencoder import AutoencoderController, StateEstimator
 from tsjepa.models.decoder import Decoder
@@ -84,8 +85,7 @@ class Autoencoder(lightning.LightningModule):
         train_only(self.model, self.encoder, self.decoder)
 
     def on_fit_start(self) -> None:
-        frames = torch.from_numpy(self.trainer.datamodule.split("train")["pixels"].numpy()).flatten(0, 1)
-        fit_background(self.model.decoder, frames, self.contrast_floor)
+        fit_background(self.model.decoder, Frames([self.trainer.datamodule.split("train")]), self.contrast_floor)
 
     def reconstruction(self, patches: Tensor, motion_weight: float = 0.0) -> Tensor:
         """Loss on stacks as uint8 patches [N, H / 4, W / 4, 48 * frame_stack]."""
@@ -111,11 +111,12 @@ class Autoencoder(lightning.LightningModule):
     def log_reconstruction(self, stage: str, split: TensorDictBase) -> None:
         """Logs the error of the frames of a split [episodes, T + 1], every fifth slot of it."""
         data = self.trainer.datamodule
-        pixels = torch.from_numpy(split["pixels"].cpu().numpy())
+        pixels, (episodes, frames) = Frames([split]), split.batch_size
         offsets = data.frame_spacing * torch.arange(1 - data.frame_stack, 1)
-        newest = torch.arange(data.first_slot, pixels.shape[1], 5)
+        stacks = torch.arange(data.first_slot, frames, 5)[:, None] + offsets
         losses = [
-            self.reconstruction(patchify(episode[newest[:, None] + offsets].to(self.device))) for episode in pixels
+            self.reconstruction(patchify(pixels[episode * frames + stacks].to(self.device)))
+            for episode in range(episodes)
         ]
         self.log(f"{stage}/reconstruction", torch.stack(losses).float().mean(), prog_bar=True, batch_size=1)
 

@@ -7,6 +7,7 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor, nn
 
+from tsjepa.data.frames import Frames
 from tsjepa.models import Controller
 from tsjepa.models.encoder import PIXEL_MEAN, PIXEL_STD, unpatchify
 
@@ -42,7 +43,7 @@ def embed_split(encoder: nn.Module, split: TensorDictBase, frame_spacing: int, b
     stack = encoder.frame_shape[0]
     first = (stack - 1) * frame_spacing
     episodes, frames = split.batch_size
-    pixels = torch.from_numpy(split["pixels"].cpu().numpy()).flatten(0, 1)
+    pixels = Frames([split])
     newest = (frames * torch.arange(episodes)[:, None] + torch.arange(first, frames)).flatten()
     offsets = frame_spacing * torch.arange(1 - stack, 1)
     was_training = encoder.training

@@ -123,4 +123,4 @@ def test_frames_are_read_from_the_maps_when_they_are_asked_for(tmp_path):
     rows = torch.tensor([14, 0, 9, 8, 0])
     assert torch.equal(frames[rows], expected[rows])
     addresses = [split["pixels"].data_ptr() for split in splits]
-    assert [pixels.data_ptr() for pixels in frames.pixels] == addresses
+    assert [pixels.data_ptr() for pixels in frames.pixels.pixels] == addresses

@@ -11,6 +11,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 from torch.nn import functional as F
 
+from tsjepa.data.frames import Frames
 from tsjepa.models.decoder import Decoder
 from tsjepa.models.encoder import patchify
 from tsjepa.support.seeds import derive, run_seed
@@ -30,25 +31,22 @@ class NewestFrames:
     """
 
     def __init__(self, splits: Sequence[TensorDictBase], first: int) -> None:
-        self.pixels = [torch.from_numpy(split["pixels"].numpy()).flatten(0, 1) for split in splits]
-        slots = [torch.arange(split.batch_size.numel()).view(split.batch_size)[:, first:] for split in splits]
-        self.number = torch.cat([numbers.flatten() for numbers in slots])
-        self.split = torch.arange(len(splits)).repeat_interleave(torch.tensor([part.numel() for part in slots]))
+        self.pixels = Frames(splits)
+        numbers = torch.arange(sum(split.batch_size.numel() for split in splits))
+        parts = numbers.split([split.batch_size.numel() for split in splits])
+        slots = [part.view(split.batch_size)[:, first:] for part, split in zip(parts, splits, strict=True)]
+        self.number = torch.cat([part.flatten() for part in slots])
 
     def __len__(self) -> int:
         return len(self.number)
 
     def __getitem__(self, rows: Tensor) -> Tensor:
         """uint8 [N, H, W, 3] of the rows numbered [N]."""
-        frames = self.pixels[0].new_empty(len(rows), *self.pixels[0].shape[1:])
-        for index, pixels in enumerate(self.pixels):
-            here = self.split[rows] == index
-            frames[here] = pixels[self.number[rows[here]]]
-        return frames
+        return self.pixels[self.number[rows]]
 
 
 def fit_background(
-    decoder: Decoder, frames: Tensor | NewestFrames, contrast_floor: float = 10.0, count: int = 500
+    decoder: Decoder, frames: Tensor | Frames | NewestFrames, contrast_floor: float = 10.0, count: int = 500
 ) -> None:
     """Sets the decoder's background to the median frame, its contrast to how far frames are from it near that pixel.
 
