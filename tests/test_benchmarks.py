@@ -47,6 +47,16 @@ def test_training_step(tmp_path):
 
 
 @pytest.mark.slow
+def test_commits(tmp_path):
+    """This checkout beside itself."""
+    result = run(
+        "commits.py", tmp_path, "--old", str(tiny.ROOT), "--only", "network", "--rounds", "1", "--threads", "1"
+    )
+    assert result["network"]["new_over_old"]["median"] > 0
+    assert result["network"]["old"]["rounds"] == 1
+
+
+@pytest.mark.slow
 def test_memory(tmp_path):
     result = run("memory.py", tmp_path, "--devices", "50", "--slots", "600")
     assert result["episodes"] == 300

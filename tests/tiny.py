@@ -24,6 +24,7 @@ SIZES = {
     "seeds": 2,
     "starts_per_seed": 6,
     "num_devices": 6,
+    "resource_blocks": 3,
     "search_over": [3, 6],
     "periods": [1, 5, 0],
     "enable_progress_bar": False,

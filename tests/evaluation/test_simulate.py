@@ -85,7 +85,7 @@ def test_a_scheduler_of_the_users_own_is_named_by_its_function(tmp_path):
         return torch.zeros_like(known.candidate), known.memory
 
     options = {"plant": PLANT, "slots": 90, "seeds": 2, "output": str(tmp_path), "video": False}
-    (row,) = simulation.simulate(6, [nobody], "hold", **options)["fleet"]["schedulers"]
+    (row,) = simulation.simulate(6, [nobody], "hold", Radio(resource_blocks=2), **options)["fleet"]["schedulers"]
     assert row["scheduler"] == "nobody"
     assert row["bits_per_device_and_slot"] == 0
 
@@ -201,3 +201,8 @@ def test_a_tile_shows_the_picture_and_what_became_of_the_transmission():
     assert (half == GOOD).all(1).sum() == (96 - 2 * BORDER) // 2
     failed = tile(white, outcome, 0, 0, True, 0.0)[24, 60]
     assert (np.abs(failed - (255 + 0.6 * (np.array(FAILED) - 255))) <= 1).all()
+
+
+def test_more_blocks_than_devices_are_refused():
+    with pytest.raises(ValueError, match=r"resource_blocks is 50 and the fleet has 40 devices: give at most 40"):
+        simulation.simulate(40, plant=CartPole(), radio=Radio(resource_blocks=50))

@@ -179,6 +179,7 @@ WRONG = {
         ("search_over", "[0, 2]"),
         ("radio", "{resource_blocks: 0}"),
         ("radio", "{resource_blocks: -1}"),
+        ("radio", "{resource_blocks: 50}"),
         ("radio", "{codec: zip}"),
         ("radio", "{csi: none}"),
         ("radio", "{csi: delayed, csi_delay: -1}"),

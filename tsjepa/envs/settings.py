@@ -11,7 +11,7 @@ from tsjepa.radio.belief import check_csi
 from tsjepa.radio.decoding import Decoding
 from tsjepa.radio.delay import ConstantDelay, GammaDelay, RecordedDelay, UniformDelay
 from tsjepa.radio.energy import EnergyModel
-from tsjepa.radio.link import db_to_linear
+from tsjepa.radio.link import DECODE_THRESHOLD_DB, db_to_linear
 from tsjepa.radio.links import AdaptedDecoding, McsLink, ShannonLink
 from tsjepa.radio.posterior import fading_correlation
 from tsjepa.radio.urgency import UrgencyCode
@@ -121,7 +121,7 @@ class Radio:
     quality: int = 50
     snr_target_db: float | tuple[float, ...] | None = 10.0
     tx_power_dbm: float = 23.0
-    snr_threshold_db: float = 5.0
+    snr_threshold_db: float = DECODE_THRESHOLD_DB
     csi: str = "perfect"
     csi_delay: int = 1
     max_doppler_hz: float = 0.0
@@ -173,6 +173,18 @@ class Radio:
             raise ValueError(f"delay {self.delay!r} is none: give a law, or 'trace' and a trace.")
         if self.trace is not None and (self.lossless or self.harq_ms is not None or self.interference_rise_db):
             raise ValueError("A trace is played as it is: leave lossless, harq_ms and interference_rise_db out.")
+
+    def check_fleet(self, num_devices: int) -> None:
+        """Refuses a fleet of fewer devices than may transmit in a slot, among whom there is nothing to schedule.
+
+        Raises:
+            ValueError: naming both numbers.
+        """
+        if self.resource_blocks is not None and self.resource_blocks > num_devices:
+            raise ValueError(
+                f"radio.resource_blocks is {self.resource_blocks} and the fleet has {num_devices} devices: give at "
+                f"most {num_devices} resource blocks, or more devices."
+            )
 
     def units(self, slot: float) -> int:
         """Resource units in a slot of ``slot`` seconds: whole ones, at least 1."""

@@ -102,6 +102,9 @@ def simulate(
         raise ValueError("Nothing to do: give num_devices, search_over, or both.")
     at_least(2, seeds=seeds)
     at_least(1, slots=slots, frame_history=frame_history, search_resolution=search_resolution)
+    if num_devices is not None:
+        at_least(1, num_devices=num_devices)
+        radio.check_fleet(num_devices)
     if search_over:
         sizes_served.check_sizes(search_over)
     if isinstance(schedulers, str) or not schedulers:

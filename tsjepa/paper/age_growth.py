@@ -15,6 +15,7 @@ import numpy as np
 
 from tsjepa.evaluation.fleet_pictures import age_growth_plot
 from tsjepa.radio import SCHEDULERS, simulate_ages
+from tsjepa.radio.link import DECODE_THRESHOLD_DB
 from tsjepa.support.files import write_json
 from tsjepa.support.provenance import provenance
 
@@ -34,7 +35,7 @@ def age_growth(
     num_devices: int = 10,
     resource_blocks: int = 2,
     mean_snr_db: float = 7.546445,
-    snr_threshold_db: float = 5.0,
+    snr_threshold_db: float = DECODE_THRESHOLD_DB,
     slots: int = 5_000,
     networks: int = 20,
     seed: int = 0,

@@ -12,6 +12,8 @@ NUM_RESOURCE_BLOCKS = 106
 UNIT_DURATION_S = 1e-3
 NOISE_DBM = -95.0
 """Noise over the whole 20 MHz (kTB plus a noise figure of 6 dB, rounded as in the paper's table)."""
+DECODE_THRESHOLD_DB = 5.0
+"""SNR from which a packet is decoded, where nobody says another."""
 
 
 def db_to_linear(decibel: Tensor | float) -> Tensor:

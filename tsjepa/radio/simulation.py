@@ -8,7 +8,7 @@ from torch import Tensor
 from tsjepa.radio.belief import check_csi
 from tsjepa.radio.feedback import AckLearned
 from tsjepa.radio.knowledge import Known
-from tsjepa.radio.link import db_to_linear
+from tsjepa.radio.link import DECODE_THRESHOLD_DB, db_to_linear
 from tsjepa.radio.schedulers import SchedulerFunction, get_scheduler
 
 _CHUNK_ELEMENTS = 2**18
@@ -36,7 +36,7 @@ def simulate_ages(
     slots: int,
     *,
     mean_snr_db: Tensor | float = 10.0,
-    snr_threshold_db: float = 5.0,
+    snr_threshold_db: float = DECODE_THRESHOLD_DB,
     csi: str = "perfect",
     aoi_reset: str = "delivery",
     batch: int = 1,

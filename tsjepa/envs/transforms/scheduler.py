@@ -12,7 +12,7 @@ from tsjepa.radio.belief import PredictedCsi, make_belief
 from tsjepa.radio.cost import age_cost
 from tsjepa.radio.decoding import Decoding
 from tsjepa.radio.knowledge import Known
-from tsjepa.radio.link import db_to_linear, resource_units, units_per_slot
+from tsjepa.radio.link import DECODE_THRESHOLD_DB, db_to_linear, resource_units, units_per_slot
 from tsjepa.radio.links import AdaptedDecoding
 from tsjepa.radio.loss import GilbertElliott, IidLoss
 from tsjepa.radio.schedulers import SchedulerFunction, get_scheduler
@@ -59,7 +59,7 @@ class Scheduler(SlotTransform):
         sampling_interval: float = 0.02,
         csi: str = "perfect",
         csi_delay: int = 1,
-        snr_threshold_db: float = 5.0,
+        snr_threshold_db: float = DECODE_THRESHOLD_DB,
         max_doppler_hz: float = 0.0,
         loss: IidLoss | GilbertElliott | None = None,
         fading: str = "rayleigh",

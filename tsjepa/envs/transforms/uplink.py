@@ -20,7 +20,7 @@ from tsjepa.envs.transforms.base import (
 from tsjepa.envs.transforms.channel import device_index
 from tsjepa.radio.age import next_age
 from tsjepa.radio.codecs import payload_bits
-from tsjepa.radio.link import db_to_linear, resource_units
+from tsjepa.radio.link import DECODE_THRESHOLD_DB, db_to_linear, resource_units
 from tsjepa.radio.links import McsLink
 from tsjepa.radio.streams import uniform
 
@@ -88,7 +88,7 @@ class Uplink(SlotTransform):
 
     def __init__(
         self,
-        snr_threshold_db: float = 5.0,
+        snr_threshold_db: float = DECODE_THRESHOLD_DB,
         aoi_reset: str = "delivery",
         in_key: str | None = "payload",
         when_lost: str = "hold",
