@@ -36,9 +36,9 @@ def training(precision: str, threads: int, changes: list[str]):
 
     class Turns(lightning.Callback):
         def on_train_batch_start(self, trainer, module, batch, batch_idx: int) -> None:
-            if batch_idx % STEPS == 0:
+            if trainer.global_step % STEPS == 0:
                 now = time.perf_counter()
-                if batch_idx:
+                if trainer.global_step:
                     answer(256 * STEPS / (now - self.started))
                 if not asked():
                     os._exit(0)  # nothing of this fit is wanted
@@ -99,6 +99,7 @@ def answer(rate: float) -> None:
 
 
 def serve(what: str, precision: str, threads: int, changes: list[str]) -> None:
+    sys.path.pop(0)  # this script's folder: each contender has the benchmarks of its own checkout
     import tsjepa  # noqa: F401  (chooses the GL backend)
 
     {"camera": camera, "network": lambda: network(threads)}.get(what, lambda: training(precision, threads, changes))()
