@@ -47,6 +47,9 @@ def run(tmp_path_factory):
         if name not in done:
             for model in tiny.strings(LOADED[name]) & (set(PRODUCERS) - {tiny.exported(LOADED[name])}):
                 once(PRODUCERS[model])
+            if trace := LOADED[name].get("radio", {}).get("trace"):
+                delays = ["--radio.delay", '{"shift": 5, "mean_excess": 10}']
+                assert cli.main(["trace", "simulate", trace, "--num_devices", "3", "--slots", "50", *delays]) == 0
             # a fit collects its data set by itself, so a data recipe has to write elsewhere
             options = ["--path", f"again/{name}"] if tiny.command_of(name)[0] == "collect" else []
             assert cli.main([*tiny.command_of(name), *options]) == 0

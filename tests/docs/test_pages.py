@@ -11,6 +11,12 @@ DOCS = Path(__file__).parents[2] / "docs"
 PAGES = sorted(page.name for page in DOCS.glob("*.md") if "```python" in page.read_text())
 
 
+def test_every_test_that_a_page_names_is_there():
+    named = {name for page in DOCS.rglob("*.md") for name in re.findall(r"`(tests/[\w/]+\.py)`", page.read_text())}
+    assert len(named) > 10
+    assert [name for name in sorted(named) if not (DOCS.parent / name).is_file()] == []
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("page", PAGES)
 def test_the_code_on_a_page_runs(page, capsys, monkeypatch, tmp_path):

@@ -7,6 +7,7 @@ from torchrl.envs import Compose, TransformedEnv
 from torchrl.envs.utils import check_env_specs
 
 from tsjepa.envs.transforms import (
+    AgeCost,
     Channel,
     Codec,
     Estimator,
@@ -120,6 +121,24 @@ def test_of_a_held_command_the_urgency_is_its_distance_to_the_right_one(between,
     torch.testing.assert_close(
         data["true_error"][:, 1:], error.masked_fill(beyond(data["state"][:, 1:]), 0), atol=1e-6, rtol=1e-5
     )
+
+
+def test_the_cost_of_age_is_that_of_a_device_heard_or_not_and_nothing_of_a_fallen_one():
+    heard, unheard = torch.arange(60.0).double(), 1000 + torch.arange(60.0).double()
+    fallen = lambda state: state[..., 0].abs() > 0.45  # noqa: E731
+    data = rollout(AgeCost(heard, unheard, fallen), Scheduler("max_age", 2), lengths=[40, 40, 40, 40, 40, 7], slots=30)
+    for device in range(6):
+        start, last = 0, None
+        for slot in range(30):
+            if device == 5 and slot in (7, 14, 21, 28):
+                start, last = slot, None
+            age = slot - start + 1 if last is None else slot - last
+            expected = unheard[age] if last is None else heard[age]
+            if last is not None and fallen(data["state"][device, last]):
+                expected = 0.0
+            assert data["age_cost"][device, slot] == expected, (device, slot)
+            last = slot if data["delivered"][device, slot] else last
+    assert (data["age_cost"] == 0).any() and (data["age_cost"] >= 1000).any()
 
 
 def test_a_controller_learns_from_what_it_hears():

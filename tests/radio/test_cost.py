@@ -1,10 +1,12 @@
 """The plant's cost of age against hand-worked sums and Monte-Carlo, and what weights by it are worth."""
 
+import math
+
 import pytest
 import torch
 
 from tsjepa.radio import Known, whittle_index
-from tsjepa.radio.cost import age_cost, age_cost_table, cost_weight, cost_whittle_index
+from tsjepa.radio.cost import age_cost, age_cost_table, cost_weight, cost_whittle_index, surviving_cost_table
 from tsjepa.radio.schedulers import channel_aware, max_age, whittle
 
 A = torch.tensor([[1.0, 0.1], [0.05, 1.1]], dtype=torch.float64)
@@ -45,6 +47,34 @@ def test_heterogeneous_plants_have_a_table_each():
         own = age_cost_table(plants[i], P, W, 12)
         assert torch.equal(found[:, i], age_cost(own, ages[:, i]))
     assert found[1, 2] == table[2, 12]
+
+
+def never(error):
+    return error[..., 0].abs() > math.inf
+
+
+def test_of_plants_that_never_fall_the_drawn_table_is_the_sum():
+    plants, draws = torch.stack([A, 0.5 * A]), 50_000
+    drawn = surviving_cost_table(plants, P, W, torch.zeros(2, draws, 2), never, 8)
+    # a squared Gaussian error has a standard deviation of at most sqrt(2) of its mean
+    torch.testing.assert_close(drawn, age_cost_table(plants, P, W, 8), rtol=4 * math.sqrt(2 / draws), atol=0)
+
+
+def test_a_start_that_is_not_known_grows_with_the_plant():
+    start = torch.randn(50, 2, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+    table = surviving_cost_table(A, P, torch.zeros(2, 2), start, never, 3)
+    for age in range(4):
+        grown = start @ torch.linalg.matrix_power(A, age).mT
+        torch.testing.assert_close(table[age], ((grown @ P) * grown).sum(-1).mean())
+
+
+def test_whoever_has_fallen_costs_nothing():
+    start, one = torch.tensor([[1.0], [0.5]], dtype=torch.float64), torch.ones(1, 1)
+    table = surviving_cost_table(2.0 * one, one, 0.0 * one, start, lambda error: error[..., 0].abs() > 3, 4)
+    # errors of 1, 2, 4 and of 0.5, 1, 2, 4
+    assert table.tolist() == pytest.approx([(1 + 0.25) / 2, (4 + 1) / 2, 4 / 2, 0, 0])
+    returning = surviving_cost_table(0.5 * one, one, 0.0 * one, 4.0 * start, lambda error: error[..., 0].abs() > 3, 2)
+    assert returning.tolist() == pytest.approx([4 / 2, 1 / 2, 0.25 / 2])
 
 
 def test_the_weight_of_a_linear_cost_is_its_slope():

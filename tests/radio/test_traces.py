@@ -92,9 +92,10 @@ def test_what_is_played_is_said_in_one_sentence(trace):
     said = describe(trace, 0.02, slots=110, gap_s=0.1)
     assert said == (
         "2 devices, 6 rows over 0.2 s; a row every 20 ms; 11 slots of 20 ms; played 10.0 times; "
-        "1 gaps of more than 0.1 s, the longest of 0.2 s, in which the last value is held; 33.3 % of the packets lost."
+        "1 gap of more than 0.1 s, the longest of 0.2 s from 0.1 s on, in which the last value is held; "
+        "33.3 % of the packets lost."
     )
-    assert "stretched 2 times; of which 5 are played; 0 gaps" in describe(trace, 0.02, 2.0, slots=5)
+    assert "stretched 2 times; of which 5 are played; no gaps" in describe(trace, 0.02, 2.0, slots=5)
 
 
 @pytest.mark.parametrize(

@@ -30,7 +30,10 @@ COMMANDS = {
     "inspect": ("tsjepa.data.inspect:inspect_recording", "say what is in a recording or a radio trace of others"),
     "import": ("tsjepa.data.importer:import_recording", "make a data set from a recording of others"),
     "export-data": ("tsjepa.data.exporter:export_data", "write a data set as LeRobot v3.0, losslessly"),
-    "trace": ("tsjepa.radio.trace_import:trace", "bring measured radio links to one table: tsjepa trace import"),
+    "trace": (
+        "tsjepa.evaluation.trace:trace",
+        "import, simulate or draw radio links: tsjepa trace import LOG TABLE.parquet",
+    ),
     "evaluate": ("tsjepa.evaluation.evaluate:evaluate", "close the loop on held-out starts and print the table"),
     "simulate": ("tsjepa.evaluation.simulate:simulate", "run a fleet of plants that share a radio"),
     "figures": ("tsjepa.paper.command:figures", "redraw the paper's figures, or run their sweeps"),

@@ -86,7 +86,7 @@ def make_env(
         *actuator(plant, radio, rest(plant), isinstance(believes, HoldCommand), seed),
         believes,
     ]
-    return TransformedEnv(fleet, Compose(*watched(chain, scheduler, radio, plant, controller)))
+    return TransformedEnv(fleet, Compose(*watched(chain, scheduler, radio, plant, controller, num_devices)))
 
 
 def check_fit(model: Controller, plant: Plant) -> None:

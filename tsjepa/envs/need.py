@@ -8,17 +8,18 @@ from torch import Tensor, nn
 
 from tsjepa.envs.payload import sends_frames
 from tsjepa.envs.settings import Radio, Requests
-from tsjepa.envs.transforms import Camera, Encode, Estimator, ExpectedGain, Scheduler, Twin, Urgency
+from tsjepa.envs.transforms import AgeCost, Camera, Encode, Estimator, ExpectedGain, Scheduler, Twin, Urgency
 from tsjepa.envs.weights import at_weights
 from tsjepa.models import Controller
 from tsjepa.plants.plant import Plant
-from tsjepa.radio.cost import age_cost_table
+from tsjepa.radio.cost import surviving_cost_table
 from tsjepa.radio.schedulers import SchedulerFunction
 from tsjepa.support.deal import deal
 
 SAID, EXPECTED, TRUE = "urgency", "expected_urgency", "genie"
 BY_COST = ("channel_aware_cost", "whittle_cost")
 LARGEST_AGE = 300  # slots; beyond it the cost of age is taken for constant
+STARTS = 2048  # drawn of each kind of plant, to know what an error costs of a device that was never heard
 NAMES = (SAID, EXPECTED, TRUE)
 
 
@@ -28,6 +29,7 @@ def watched(
     radio: Radio,
     plant: Plant,
     controller: str | Controller,
+    num_devices: int,
 ) -> list[nn.Module]:
     """The chain with what its scheduler needs in front of it; the same chain where it needs nothing of the kind.
 
@@ -36,18 +38,21 @@ def watched(
 
     Args:
         chain: from the channel to the far end.
-        scheduler, radio, plant, controller: as of :func:`tsjepa.envs.make.make_env`.
+        scheduler, radio, plant, controller, num_devices: as of :func:`tsjepa.envs.make.make_env`.
 
     Raises:
         ValueError: a device that is to watch, and does not make what it would have to compare.
     """
+    place = next(index for index, part in enumerate(chain) if isinstance(part, Scheduler))
+    received = "embedding" if sends_frames(radio.codec) else "received"
+    if scheduler in BY_COST:
+        failed, age = twin_of(chain[-1], plant, controller).failed, chain[place].outcome_keys[1]
+        return [*chain[:place], AgeCost(*cost_of_age(plant, num_devices), failed, received, age), *chain[place:]]
     asks = radio.requests is not None if callable(scheduler) else scheduler in NAMES
     if not asks:
         return chain
-    place = next(index for index, part in enumerate(chain) if isinstance(part, Scheduler))
     twin = twin_of(chain[-1], plant, controller)
     if scheduler == EXPECTED:
-        received = "embedding" if sends_frames(radio.codec) else "received"
         return [*chain[:place], ExpectedGain(twin, received), *chain[place:]]
     sees = [part for part in chain[place:] if isinstance(part, Camera) or _encodes_pixels(part)]
     if sees and not isinstance(sees[-1], Encode):
@@ -99,8 +104,11 @@ def twin_of(far_end: nn.Module, plant: Plant, controller: str | Controller) -> T
     )
 
 
-def cost_of_age(plant: Plant, num_devices: int) -> Tensor:
-    """tr(P sum_{k < h} A^k W A^kT) at the ages h = 0, 1, ... of each device, [I, ages].
+def cost_of_age(plant: Plant, num_devices: int) -> tuple[Tensor, Tensor]:
+    """What an error of the state costs at the ages 0, 1, ..., of each device, [I, ages]: heard, and never heard.
+
+    The error of a device that was heard is the noise since then; of one that was not, the state in which it started is
+    unknown too. Only devices that have not failed count, since to hear of another one saves nothing.
 
     Raises:
         ValueError: a plant that does not say what an error costs, or that nothing disturbs.
@@ -111,10 +119,17 @@ def cost_of_age(plant: Plant, num_devices: int) -> Tensor:
             f"{type(plant).__name__} does not say what an error of its state costs (error_cost, linear): choose a "
             "scheduler without the plant's cost of age."
         )
-    table = age_cost_table(model[0], *priced, LARGEST_AGE)
-    if not bool((table[..., -1] > 0).all()):
+    value, noise = priced
+    if not bool((noise.diagonal(dim1=-2, dim2=-1).sum(-1) > 0).all()):
         raise ValueError("A plant without process noise is predicted without error, so that its age costs nothing.")
-    return deal(table if table.ndim > 1 else table.unsqueeze(0), num_devices)
+    kinds = 1 if model[0].ndim == 2 else len(model[0])
+    device = np.arange(STARTS * kinds)
+    begun = torch.as_tensor(plant.state(plant.start(0, device, np.zeros_like(device))), dtype=torch.float64)
+    begun = begun.reshape(STARTS, kinds, -1).movedim(0, -2)
+    return tuple(
+        deal(surviving_cost_table(model[0], value, noise, error, plant.failed, LARGEST_AGE), num_devices)
+        for error in (torch.zeros_like(begun), begun)
+    )
 
 
 def _encodes_pixels(part: nn.Module) -> bool:

@@ -8,7 +8,6 @@ from functools import partial
 import torch
 from torch import nn
 
-from tsjepa.envs.need import BY_COST, cost_of_age
 from tsjepa.envs.payload import packet_bits, sends_frames, update_bits, update_codec
 from tsjepa.envs.settings import Radio
 from tsjepa.envs.transforms import (
@@ -56,7 +55,7 @@ def radio_end(
     )
     arrival = [uplink, *after_uplink(plant, num_devices, radio, seed)]
     chain = [
-        *channel(plant, num_devices, radio, seed),
+        *channel(plant.spec.slot, num_devices, radio, seed),
         schedule(plant, num_devices, scheduler, radio, model, codec, seed),
     ]
     if model is None:
@@ -68,11 +67,10 @@ def radio_end(
     return [*chain, camera, Encode(model.encoder, model.embedding_dim), Codec(codec), *arrival]
 
 
-def channel(plant: Plant, num_devices: int, radio: Radio, seed: int) -> list[nn.Module]:
-    """The links, simulated or measured; none where nothing is lost."""
+def channel(slot: float, num_devices: int, radio: Radio, seed: int) -> list[nn.Module]:
+    """The links in slots of ``slot`` seconds, simulated or measured; none where nothing is lost."""
     if radio.lossless:
         return []
-    slot = plant.spec.slot
     if radio.trace is not None:
         return [TraceChannel(radio.trace, slot, radio.trace_stretch, radio.trace_start_s, seed)]
     return [
@@ -123,7 +121,6 @@ def schedule(
         demand=radio.demand,
         outcome_keys=ACKNOWLEDGED if radio.ack_loss else outcome_keys(radio),
         weight=dealt(radio.priority, num_devices),
-        age_cost=cost_of_age(plant, num_devices) if scheduler in BY_COST else None,
     )
 
 

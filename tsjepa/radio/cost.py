@@ -5,6 +5,8 @@ sum_{k < h} A^k W A^kT. Weighed with a matrix P, such as the solution of the Ric
 own cost of age, in the units of the quadratic cost that P belongs to.
 """
 
+from collections.abc import Callable
+
 import torch
 from torch import Tensor
 
@@ -37,6 +39,39 @@ def age_cost_table(transition: Tensor, value: Tensor, noise: Tensor, max_age: in
     if not bool(table.isfinite().all()):
         raise ValueError(f"the plant's cost at an age of {max_age} slots exceeds all numbers: give a smaller max_age")
     return table
+
+
+def surviving_cost_table(
+    transition: Tensor,
+    value: Tensor,
+    noise: Tensor,
+    start: Tensor,
+    failed: Callable[[Tensor], Tensor],
+    max_age: int,
+) -> Tensor:
+    """The same, of errors that begin as ``start`` and count only as long as the plant has not failed; by drawn noise.
+
+    To hear of a plant that has fallen saves nothing, so its cost shrinks with the share of the plants that are left.
+
+    Args:
+        transition, value, noise, max_age: as of :func:`age_cost_table`.
+        start: [..., N, n] errors at age 0, N draws.
+        failed: from errors [..., N, n] to [..., N] bool, as of a plant whose state should be 0.
+
+    Returns:
+        [..., max_age + 1] float64.
+    """
+    a, p, w, error = (torch.as_tensor(x, dtype=torch.float64) for x in (transition, value, noise, start))
+    scale, basis = torch.linalg.eigh(w)
+    root = basis * scale.clamp(min=0).sqrt().unsqueeze(-2)
+    generator = torch.Generator().manual_seed(0)
+    left, costs = torch.ones(error.shape[:-1], dtype=torch.bool), []
+    for _ in range(max_age + 1):
+        left = left & ~torch.as_tensor(failed(error))
+        costs.append(torch.where(left, ((error @ p) * error).sum(-1), 0.0).mean(-1))
+        drawn = torch.randn(error.shape, generator=generator, dtype=torch.float64)
+        error = error @ a.mT + drawn @ root.mT
+    return torch.stack(costs, -1)
 
 
 def age_cost(table: Tensor, ages: Tensor) -> Tensor:

@@ -6,7 +6,6 @@ import json
 import os
 from itertools import pairwise
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
@@ -17,21 +16,6 @@ from tsjepa.support.foreign import optional, reason
 
 LISTED = 8
 OUTAGE = 3  # periods: a shorter loss is an ordinary one
-
-
-def trace(
-    action: Literal["import"], path: str, output: str, column: str | None = None, period_s: float | None = None
-) -> None:
-    """Measured radio links: ``tsjepa trace import LOG TABLE.parquet``.
-
-    Args:
-        action: "import" brings a log, or every log of a folder, to the table that a radio is driven by.
-        path: file or folder.
-        output: the Parquet file to write; a picture (.png) and a report (.json) lie beside it.
-        column: which of the log's columns is which, as "delay_ms=delay(ms), time_s=clock".
-        period_s: seconds between rows, for logs without times; the step in which delivery opportunities are read.
-    """
-    import_trace(path, output, column, period_s)
 
 
 def import_trace(path: str, output: str, column: str | None = None, period_s: float | None = None) -> dict:

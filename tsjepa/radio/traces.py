@@ -169,8 +169,11 @@ def describe(trace: Trace, slot_s: float, stretch: float = 1.0, slots: int | Non
     if slots is not None:
         parts.append(f"played {slots / count:.1f} times" if slots > count else f"of which {slots} are played")
     gaps = pauses[pauses > gap_s]
-    longest = f", the longest of {gaps.max():.1f} s" if len(gaps) else ""
-    parts.append(f"{len(gaps)} gaps of more than {gap_s:g} s{longest}, in which the last value is held")
+    longest = ""
+    if len(gaps):
+        begins = trace.time_s[:-1][same][pauses.argmax()]
+        longest = f", the longest of {gaps.max():.1f} s from {begins:.1f} s on, in which the last value is held"
+    parts.append(f"{len(gaps) or 'no'} gap{'s' * (len(gaps) != 1)} of more than {gap_s:g} s{longest}")
     if "lost" in trace.values:
         parts.append(f"{100 * trace.values['lost'].nanmean():.1f} % of the packets lost")
     return "; ".join(parts) + "."

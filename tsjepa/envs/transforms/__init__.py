@@ -2,10 +2,11 @@
 
 Order in a ``Compose``: Drive, Channel (or TraceChannel), Scheduler, Camera, Encode, Codec, Uplink, Acknowledge, Delay,
 Energy, Actuator, Estimator, HoldCommand; leave out what the experiment does not have. Where devices watch all the time,
-Camera, Encode and Urgency stand before the Scheduler; so does ExpectedGain.
+Camera, Encode and Urgency stand before the Scheduler; so do ExpectedGain and AgeCost.
 """
 
 from tsjepa.envs.transforms.actuator import Actuator
+from tsjepa.envs.transforms.age_cost import AgeCost
 from tsjepa.envs.transforms.camera import Camera, Encode
 from tsjepa.envs.transforms.channel import Channel
 from tsjepa.envs.transforms.delay import Acknowledge, Delay
@@ -20,6 +21,7 @@ from tsjepa.envs.transforms.urgency import ExpectedGain, Twin, Urgency
 __all__ = [
     "Acknowledge",
     "Actuator",
+    "AgeCost",
     "Camera",
     "Channel",
     "Codec",

@@ -1,9 +1,10 @@
 """What the network's transforms have in common: one slot of work, done after a step and after a reset alike."""
 
 from abc import abstractmethod
+from collections.abc import Iterator
 
 import torch
-from tensordict import TensorDictBase
+from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.data import Categorical, Composite, TensorSpec, Unbounded
 from torchrl.envs.transforms import Transform
@@ -69,6 +70,14 @@ class SlotTransform(Transform):
         values = self._slot(previous, tensordict_reset, fresh)
         values |= {key: select(fresh, values[key], before[key]) for key in self.carried}
         return self._write(tensordict_reset, values)
+
+    def alone(self, num_devices: int, slots: int) -> Iterator[TensorDictBase]:
+        """What a transform that reads nothing writes in the slots of one episode, without an environment."""
+        empty = TensorDict(batch_size=[num_devices])
+        now = self._reset(empty, empty.clone())
+        for slot in range(slots):
+            now = self._step(now, empty.clone()) if slot else now
+            yield now
 
     def _first(self, before: Values, current: TensorDictBase) -> Values:
         return self._begin(before, current) | dict.fromkeys(self.previous_keys)

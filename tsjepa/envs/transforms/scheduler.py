@@ -9,7 +9,6 @@ from torchrl.data import Composite, TensorSpec
 
 from tsjepa.envs.transforms.base import SlotTransform, Values, flag_spec, number_spec, require_key
 from tsjepa.radio.belief import PredictedCsi, make_belief
-from tsjepa.radio.cost import age_cost
 from tsjepa.radio.decoding import Decoding
 from tsjepa.radio.knowledge import Known
 from tsjepa.radio.link import DECODE_THRESHOLD_DB, db_to_linear, resource_units, units_per_slot
@@ -46,8 +45,6 @@ class Scheduler(SlotTransform):
         demand: from bits and linear SNR to the resource units that a device asks for.
         outcome_keys: outcome and age of the slot before, as whoever schedules knows them.
         weight: priority of each device [I], unless something writes ``weight``.
-        age_cost: the plants' own cost at the ages 0, 1, ..., [I, ages] or [ages], see
-            :func:`tsjepa.radio.cost.age_cost_table`.
     """
 
     def __init__(
@@ -67,7 +64,6 @@ class Scheduler(SlotTransform):
         demand: Callable[[int, Tensor], Tensor] = resource_units,
         outcome_keys: tuple[str, str] = ("delivered", "age_of_information"),
         weight: Tensor | None = None,
-        age_cost: Tensor | None = None,
     ):
         if (resource_blocks is None) == (payload_bits is None):
             raise ValueError("give either resource_blocks (devices per slot) or payload_bits (bits per update)")
@@ -79,7 +75,7 @@ class Scheduler(SlotTransform):
         self.decide = get_scheduler(scheduler)
         self.payload_bits = payload_bits
         self.budget = resource_blocks if payload_bits is None else (units or units_per_slot(sampling_interval))
-        self.csi, self.weight, self.age_cost = csi, weight, age_cost
+        self.csi, self.weight = csi, weight
         self.snr_threshold = float(db_to_linear(snr_threshold_db))
         decoding = self.snr_threshold if decoding is None else decoding
         self.belief = make_belief(csi, decoding, csi_delay, loss, max_doppler_hz, sampling_interval, fading)
@@ -133,10 +129,8 @@ class Scheduler(SlotTransform):
             memory=previous["scheduler_memory"],
             weight=current.get("weight", self.weight),
             signalling_bits=current.get("signalling_bits", 0),
-            **{key: current.get(key, None) for key in ("urgency", "expected_gain", "true_error", "slot")},
+            **{key: current.get(key, None) for key in ("urgency", "expected_gain", "true_error", "age_cost", "slot")},
         )
-        if self.age_cost is not None:
-            known = known._replace(age_cost=age_cost(self.age_cost, known.age))
         if current.get("snr", None) is None:
             return belief, known
         # without an Uplink, and in the first slot of an episode, there is no outcome to learn from
