@@ -23,10 +23,11 @@ def free_address() -> str:
 
 
 class Process:
-    """A command of this package, ended with the test."""
+    """A command of this package, ended with the test; ``within`` names a network namespace."""
 
-    def __init__(self, *arguments: object) -> None:
-        command = [sys.executable, "-m", "tsjepa.cli", *map(str, arguments)]
+    def __init__(self, *arguments: object, within: str | None = None) -> None:
+        command = ["ip", "netns", "exec", within] if within else []
+        command += [sys.executable, "-m", "tsjepa.cli", *map(str, arguments)]
         self.child = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
     def __enter__(self):
