@@ -97,6 +97,19 @@ def test_the_newest_update_wins_and_an_overtaken_one_is_dropped(live):
     assert live.controller.beliefs.newest[0] == 11
 
 
+def test_of_two_updates_that_wait_together_the_newer_is_used(live):
+    live.control()
+    device = live.device()
+    live.run(3)
+    for slot in (3, 4):
+        device.slot = slot
+        device.send(0, bytes((10 * slot, 0)))
+    live.controller.port.drain()
+    assert live.controller.beliefs.newest[0] == 4
+    assert live.controller.port.drops["overtaken"] == 1
+    assert live.controller.counts["updates"] == 4
+
+
 def test_each_device_is_controlled_by_its_own_updates(live):
     live.control(devices=3)
     machine = Machine(2)

@@ -64,7 +64,7 @@ def controller(
         raise ValueError(f"realtime_factor {realtime_factor} has to be above 0.")
     weather = weather_of(run.slot, seed, loss=loss, delay=delay, jitter=jitter, downlink=True)
     with ExitStack() as files:
-        lines = files.enter_context(open(log, "w")) if log else None
+        lines = files.enter_context(open(log, "w", buffering=1)) if log else None
         if lines:
             lines.write("time_s,device,slot\n")
         loop = Controller(run, num_devices, parse_address(bind), read_key(key), weather, buffer, realtime_factor, lines)

@@ -101,6 +101,7 @@ class Controller:
             if update is None:
                 return
             self.note(header, address, arrived)
+            self.port.drops["overtaken"] += header.device in self.waiting
             self.waiting[header.device] = header.slot, update, arrived
 
     def greet(self, header: Header, address: Address, drop: Dropped) -> None:
