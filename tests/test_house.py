@@ -9,9 +9,10 @@ PACKAGE = Path(__file__).parent.parent / "tsjepa"
 PURE = ("plants", "radio", "models")
 LINE = ("envs", "data", "training", "evaluation", "zoo")
 TOP = ("live", "paper")  # beside each other
-# who may step a plant or an environment beside plants/ and envs/: the loop of every evaluation, and the recording
+# who may step a plant or an environment beside plants/ and envs/: the loop of every evaluation, the recording, and the
+# plant that a device owns, which steps in real time
 ENVIRONMENT = ("step", "rollout", "step_and_maybe_reset")
-STEPPING = {"evaluation/rollouts.py", "data/collect.py"}
+STEPPING = {"evaluation/rollouts.py", "data/collect.py", "live/simulated.py"}
 
 
 def allowed(room: str) -> set[str]:

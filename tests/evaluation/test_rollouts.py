@@ -11,8 +11,9 @@ from tsjepa.envs import Radio
 from tsjepa.envs.make import at_weights
 from tsjepa.evaluation.fleet_summary import device_rows, summary
 from tsjepa.evaluation.metrics import normalized_score
-from tsjepa.evaluation.rollouts import HELD_OUT, ONCE, Loop, every, optimal_scores, perfect_feedback, run
+from tsjepa.evaluation.rollouts import ONCE, Loop, every, optimal_scores, perfect_feedback, run
 from tsjepa.plants import CartPole
+from tsjepa.support.seeds import HELD_OUT
 
 PLANT = OpenPlant()
 LOOP = Loop(PLANT, right_model(PLANT), num_devices=4, slots=30, frame_history=3)

@@ -5,10 +5,11 @@ import tiny_controller
 
 from tsjepa.data.collect import Split, collect
 from tsjepa.evaluation import rollouts
-from tsjepa.evaluation.rollouts import HELD_OUT, Loop, every
+from tsjepa.evaluation.rollouts import Loop, every
 from tsjepa.models import entries
 from tsjepa.paper import frame_change, tsne
 from tsjepa.plants import CartPole
+from tsjepa.support.seeds import HELD_OUT
 
 SEEDS = (0, 1, 7, 1000, 1001, HELD_OUT - 1, HELD_OUT, HELD_OUT + 1, 2**40)  # that somebody gives by hand
 EVALUATION = range(HELD_OUT, HELD_OUT + 10_000)

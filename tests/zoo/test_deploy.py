@@ -193,6 +193,7 @@ def test_the_description_says_what_goes_in_and_comes_out(deployment):
     said = json.loads((folder / "deployment.json").read_text())
     d, stack = model.embedding_dim, model.frame_stack
     assert said["payload_bits"] == 8 * d
+    assert said["frame"] == [64, 128]
     assert (said["frame_stack"], said["frame_spacing_slots"]) == (stack, model.frame_spacing)
     assert said["slot_seconds"] == model.spec.slot
     assert said["graphs"]["device"] == {
@@ -201,6 +202,8 @@ def test_the_description_says_what_goes_in_and_comes_out(deployment):
     }
     assert said["graphs"]["receive"]["outputs"] == {"embedding": f"float32 [rows, {d}]", "command": "float32 [rows, 1]"}
     assert said["command"] == ["force (N)"]
+    assert (said["command_low"], said["command_high"]) == ([-20.0], [20.0])
+    assert said["plant"] == (model.metrics or {}).get("plant")
     takes = bool(set_points(model, 1))
     assert said["reference"] == (["x (m)"] if takes else [])
     assert said["graphs"]["receive"]["inputs"].get("reference") == ("float32 [rows, 1]" if takes else None)

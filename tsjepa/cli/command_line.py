@@ -40,6 +40,8 @@ COMMANDS = {
     "report": ("tsjepa.paper.report:report", "compare every figure with what the paper claims"),
     "export": ("tsjepa.zoo.export:export", "make a trained model an entry of the zoo"),
     "deploy": ("tsjepa.zoo.deploy:deploy", "write a model as ONNX or torch.export graphs"),
+    "device": ("tsjepa.live.device:device", "watch a machine, send embeddings by UDP, apply the commands that come"),
+    "controller": ("tsjepa.live.controller:controller", "control many devices by UDP"),
     "zoo": ("tsjepa.zoo.verify:zoo", "list the pretrained models, or verify them: tsjepa zoo verify"),
     "doctor": ("tsjepa.cli.doctor:doctor", "tell what this machine offers and what to mend"),
 }

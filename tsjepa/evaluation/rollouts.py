@@ -18,9 +18,9 @@ from tsjepa.evaluation.metrics import Run
 from tsjepa.models import Controller
 from tsjepa.plants.plant import Plant
 from tsjepa.radio.schedulers import SchedulerFunction, periodic
+from tsjepa.support.seeds import HELD_OUT
 
 ONCE = 0  # as an update period: one update at the first slot, none after it
-HELD_OUT = 1_000_000  # seeds of the evaluation's starts; every other stream has a key of 63 bits with the top one set
 RECORDED = ("scheduled", "delivered", "age_of_information", "payload_bits")
 SIGNALLED = "signalling_bits"  # where devices say how urgent they are
 

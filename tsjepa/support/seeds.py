@@ -5,6 +5,8 @@ from __future__ import annotations
 import hashlib
 import os
 
+HELD_OUT = 1_000_000  # seeds of the evaluation's starts; every other stream has a key of 63 bits with the top one set
+
 
 def derive(seed: int, *purpose: str | int) -> int:
     """Seed of the stream with that purpose, in [2**62, 2**63): no two purposes share one, and none is a small number

@@ -174,17 +174,21 @@ def deploy(model: str, folder: str, format: Literal["onnx", "torch_export"] = "o
 
 
 def description(name: str, model: Controller, parts: dict[str, Graph]) -> dict:
-    """What a user of the graphs has to know: shapes, payload, and which frames make a stack."""
+    """What a user of the graphs has to know: shapes, payload, which frames make a stack, and the machine."""
     spec, takes = model.spec, parts["receive"].inputs
     return {
         "made_by": provenance(),
         "model": name,
         "codec": CODEC,
         "payload_bits": int(payload_bits(parts["receive"].inputs["payload"])[0]),
+        "frame": list(spec.frame),
         "frame_stack": model.frame_stack,
         "frame_spacing_slots": model.frame_spacing,
         "slot_seconds": spec.slot,
         "command": _numbers(spec.action_names, spec.action_units),
+        "command_low": list(spec.action_low),
+        "command_high": list(spec.action_high),
+        "plant": (model.metrics or {}).get("plant") or model.plant,
         "reference": _numbers(spec.reference_names, spec.reference_units) if "reference" in takes else [],
         "graphs": {
             part: {

@@ -82,7 +82,11 @@ class TraceChannel(SlotTransform):
 
     def _slot(self, previous: Values, current: TensorDictBase, fresh: Tensor | None) -> Values:
         device, episode, slot = device_index(current), previous["channel_episode"], previous["channel_slot"] + 1
-        values = {"channel_episode": episode, "channel_slot": slot}
+        return {"channel_episode": episode, "channel_slot": slot} | self.played(device, episode, slot)
+
+    def played(self, device: Tensor, episode: Tensor, slot: Tensor) -> Values:
+        """What the trace says of devices in slots of their episodes (int64, broadcast): what it writes but counters."""
+        values = {}
         row = device % self.devices
         place = (self._start(device // self.devices, episode) + slot) % self.slots
         if "snr" in self.out_keys:

@@ -1,0 +1,61 @@
+"""A film in the place of a camera, and a function in the place of an actuator."""
+
+import cv2
+import numpy as np
+import pytest
+
+from tsjepa.live.camera import Camera, find_actuator
+from tsjepa.support.trust import everything_trusted
+
+FRAMES = 6
+
+
+@pytest.fixture
+def film(tmp_path):
+    """A film without losses whose frame k is filled with 10 k + 5 red."""
+    path = str(tmp_path / "film.avi")
+    writer = cv2.VideoWriter(path, cv2.VideoWriter_fourcc(*"FFV1"), 50, (64, 32))
+    for frame in range(FRAMES):
+        writer.write(np.full((32, 64, 3), (0, 0, 10 * frame + 5), np.uint8))
+    writer.release()
+    return path
+
+
+def test_frames_come_oldest_first_in_red_green_blue_and_the_film_starts_again(film):
+    camera = Camera(film, None, (32, 64), 2, 2)
+    seen = [camera.look() for _ in range(8)]
+    assert seen[0].shape == (1, 2, 32, 64, 3)
+    red = [[int(frame[..., 0].mean().round()) for frame in stack[0]] for stack in seen]
+    assert [new for _, new in red] == [15, 25, 35, 45, 55, 5, 15, 25]
+    assert [old for old, _ in red] == [5, 5, 15, 25, 35, 45, 55, 5]
+    assert not seen[0][..., 1:].any()
+    camera.close()
+
+
+def test_pictures_are_brought_to_the_models_size(film):
+    camera = Camera(film, None, (16, 48), 1, 1)
+    assert camera.look().shape == (1, 1, 16, 48, 3)
+    assert camera.look().dtype == np.uint8
+    camera.close()
+
+
+def test_the_actuator_gets_the_command_and_may_fail(film):
+    given = []
+    camera = Camera(film, lambda command: given.append(command.tolist()), (32, 64), 1, 1)
+    camera.act(np.float32([[1.5]]))
+    assert given == [[1.5]]
+    camera.actuate = lambda command: 1 / 0
+    camera.act(np.float32([[2.5]]))
+    assert camera.summary() == {"actuator_failures": 1}
+    camera.close()
+
+
+def test_an_actuator_is_found_by_its_name_if_it_is_trusted():
+    assert find_actuator(None) is None
+    with pytest.raises(ValueError, match="add --trust to run it"):
+        find_actuator("math.floor")
+    with everything_trusted():
+        assert find_actuator("math.floor")(1.5) == 1
+        for wrong in ("math.nothing", "no_such_module.f", "floor", "math.pi"):
+            with pytest.raises(ValueError, match=r"write package\.module\.function"):
+                find_actuator(wrong)

@@ -1,0 +1,79 @@
+"""``tsjepa controller``: keeps beliefs about many devices, answers their updates, predicts what does not come."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from contextlib import ExitStack
+
+from tsjepa.live.controller_loop import Controller
+from tsjepa.live.device import LAST_DEVICE, weather_of
+from tsjepa.live.ending import run_until_stopped, stages_line, write_report
+from tsjepa.live.graphs import Graphs
+from tsjepa.live.packet import most_commands
+from tsjepa.live.port import parse_address
+from tsjepa.live.seal import read_key
+from tsjepa.support.checks import at_least, within
+
+
+def controller(
+    graphs: str,
+    bind: str = "127.0.0.1:5700",
+    num_devices: int = 1,
+    reference: Sequence[float] = (),
+    buffer: int = 1,
+    key: str | None = None,
+    seconds: float | None = None,
+    loss: float = 0.0,
+    delay: float = 0.0,
+    jitter: float = 0.0,
+    seed: int = 0,
+    realtime_factor: float = 1.0,
+    log: str | None = None,
+    report: str | None = None,
+) -> dict:
+    """Controls devices in real time until SIGINT or SIGTERM.
+
+    Args:
+        graphs: folder that ``tsjepa deploy MODEL FOLDER`` has written, the same as at the devices.
+        bind: HOST:PORT to listen at.
+        num_devices: devices 0 to this less 1 are known; what others send is dropped.
+        reference: set-points, where the model takes some.
+        buffer: N, commands in a packet: for its slot and those after it.
+        key: file of 64 hexadecimal digits that the devices have too: what was not sealed with it is dropped.
+        seconds: until it ends by itself; None for never.
+        loss: share of the commands that are lost on purpose.
+        delay: milliseconds by which commands are delayed.
+        jitter: milliseconds by which they may be delayed further.
+        seed: of the losses, as that of ``tsjepa simulate``.
+        realtime_factor: how fast time passes, as at the devices.
+        log: CSV file that lists every update that was used.
+        report: JSON file for what happened.
+
+    Raises:
+        ValueError: an argument that cannot be.
+        FileNotFoundError: there is no such deployment.
+    """
+    run = Graphs(graphs, ["receive", "predict"], reference)
+    within(1, LAST_DEVICE + 1, num_devices=num_devices)
+    within(1, most_commands(len(run.low)), buffer=buffer)
+    at_least(0, **({} if seconds is None else {"seconds": seconds}))
+    if buffer > 1 and not run.has_predictor:
+        raise ValueError(f"A buffer of {buffer} commands needs a model that predicts; this one holds its last command.")
+    if not realtime_factor > 0:
+        raise ValueError(f"realtime_factor {realtime_factor} has to be above 0.")
+    weather = weather_of(run.slot, seed, loss=loss, delay=delay, jitter=jitter, downlink=True)
+    with ExitStack() as files:
+        lines = files.enter_context(open(log, "w", buffering=1)) if log else None
+        if lines:
+            lines.write("time_s,device,slot\n")
+        loop = Controller(run, num_devices, parse_address(bind), read_key(key), weather, buffer, realtime_factor, lines)
+        run_until_stopped(lambda stop: loop.run(math.inf if seconds is None else seconds, stop))
+    result = loop.summary()
+    write_report(report, result)
+    print(
+        f"{result['devices_heard']} devices, {result['counts']['updates']} updates used, "
+        f"{result['counts']['commands']} commands sent, {sum(result['dropped'].values())} datagrams dropped; "
+        f"{stages_line(result['stages'])}"
+    )
+    return result

@@ -1,0 +1,189 @@
+"""The loop of a device: it watches a machine, sends embeddings, and applies the commands that come back."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import time
+from typing import Any
+
+import numpy as np
+
+from tsjepa.live.graphs import Graphs
+from tsjepa.live.link import Link
+from tsjepa.live.packet import COMMAND, HELLO, UPDATE, Dropped, Update, read_command
+from tsjepa.live.plans import Plans
+from tsjepa.live.port import Address, Port
+from tsjepa.live.seal import Seal
+from tsjepa.live.timing import Durations, Metronome
+
+STAGES = ("capture", "encode", "send", "receive", "apply")
+KNOCK_S = 0.1  # between hellos to a controller that has not answered yet
+
+
+class Device:
+    """n devices of one process, which share a machine, a clock and a socket.
+
+    Args:
+        graphs: with the part "device".
+        machine: a :class:`tsjepa.live.simulated.SimulatedPlants` or a :class:`tsjepa.live.camera.Camera`.
+        numbers: of the devices.
+        controller: its host and port.
+        seal: of the datagrams.
+        weather: of the updates, or None.
+        period: slots between updates.
+        watchdog_s: seconds without a command after which the safe command is in force.
+        safe: that command [m]; None for the one nearest to zero.
+        realtime_factor: how fast time passes; at 0.5 all that is said in seconds takes twice as long.
+    """
+
+    def __init__(
+        self,
+        graphs: Graphs,
+        machine: Any,
+        numbers: list[int],
+        controller: tuple[str, int],
+        seal: Seal,
+        weather: Any = None,
+        period: int = 1,
+        watchdog_s: float = 0.2,
+        safe: np.ndarray | None = None,
+        realtime_factor: float = 1.0,
+    ) -> None:
+        self.graphs, self.machine, self.seal, self.weather, self.period = graphs, machine, seal, weather, period
+        self.links = {number: Link(number) for number in numbers}
+        self.plans = {number: Plans() for number in numbers}
+        self.heard_at = dict.fromkeys(numbers, -math.inf)
+        self.watchdog_s, self.realtime_factor = watchdog_s / realtime_factor, realtime_factor
+        self.safe = graphs.rest if safe is None else safe
+        self.metronome = Metronome(graphs.slot / realtime_factor)
+        self.stages = {name: Durations() for name in STAGES}
+        self.slot, self.first = 0, 0  # of all, and of this episode
+        self.late = 0
+        self.counts = dict.fromkeys(("sent", "lost", "commands", "safe", "held"), 0)
+        self.port = Port(self.hear, connect=controller)
+
+    async def run(self, slots: int | None, stop: asyncio.Event) -> None:
+        """Greets the controller, then works ``slots`` slots or until ``stop``; leaves the actuator safe."""
+        self.port.open()
+        try:
+            while not stop.is_set() and not all(link.peer for link in self.links.values()):
+                for link in self.links.values():
+                    if not link.peer:
+                        self.port.send(self.seal.close(link.header(HELLO)))
+                await asyncio.sleep(KNOCK_S)
+            # one more, in which the last one ends
+            async for slot in self.metronome.slots(None if slots is None else slots + 1, stop):
+                self.tick(slot)
+                if slot != slots:
+                    self.begin_slot()
+        finally:
+            if self.machine.at_once:
+                self.machine.act(np.repeat(self.safe[None], len(self.links), 0))
+            self.port.close()
+
+    def tick(self, slot: int) -> None:
+        """Hears what has come, and ends the slots before ``slot``."""
+        self.port.drain()
+        while self.slot < slot:
+            self.end_slot()
+
+    def begin_slot(self) -> None:
+        """Looks, encodes and sends, where this is a slot of an update."""
+        if self.machine.at_once:
+            self.apply()
+        with self.stages["capture"].timed():
+            frames = self.machine.look()
+        if (self.slot - self.first) % self.period:
+            return
+        with self.stages["encode"].timed():
+            payloads = self.graphs.encode(frames)
+        for row, number in enumerate(self.links):
+            with self.stages["send"].timed():
+                self.send(number, payloads[row].tobytes())
+        self.late += time.monotonic() > self.metronome.begins(self.slot + 1)
+
+    def send(self, number: int, payload: bytes) -> None:
+        """Sends an update, as the weather lets it."""
+        update = Update(self.plans[number].round_trip, payload)
+        data = self.seal.close(self.links[number].header(UPDATE, self.slot), update.pack())
+        delay = 0.0
+        if self.weather is not None:
+            episode, slot = self.machine.place or (0, self.slot)
+            delay = self.weather.delay(number, episode, slot) / self.realtime_factor
+        self.counts["sent"] += 1
+        if delay == math.inf:
+            self.counts["lost"] += 1
+        elif delay:
+            # a delay counts from the slot's start, as in the chain, where looking and encoding take no time
+            self.port.send_later(self.metronome.begins(self.slot) + delay - time.monotonic(), data)
+        else:
+            self.port.send(data)
+
+    def hear(self, data: bytes, _: Address) -> None:
+        """Takes a datagram of the controller's.
+
+        Raises:
+            Dropped: it is not used.
+        """
+        with self.stages["receive"].timed():
+            header, body = self.seal.open(data)
+            link = self.links.get(header.device)
+            if link is None:
+                raise Dropped("device")
+            command = None
+            if header.kind == COMMAND:
+                command = read_command(body, self.graphs.low, self.graphs.high)
+            elif header.kind != HELLO or body:
+                raise Dropped("kind")
+            link.accept(header)
+            if command is None:
+                return
+            plans = self.plans[header.device]
+            if command.prompt:
+                plans.measure(self.slot - command.answers)
+            if command.answers < self.first:
+                raise Dropped("overtaken")  # by the start of an episode
+            self.counts["commands"] += 1
+            self.heard_at[header.device] = time.monotonic()
+            plans.put(header.slot, header.sequence, command.plan)
+        if self.machine.at_once:
+            self.apply()
+
+    def in_force(self, number: int) -> np.ndarray | None:
+        """The command [m] of a device in this slot; None for the safe one."""
+        silent = time.monotonic() - self.heard_at[number] > self.watchdog_s
+        return None if silent else self.plans[number].at(self.slot)
+
+    def apply(self) -> bool:
+        """Has the machine do what is in force; returns whether a new episode begins."""
+        with self.stages["apply"].timed():
+            commands = [self.in_force(number) for number in self.links]
+            return self.machine.act(np.stack([self.safe if command is None else command for command in commands]))
+
+    def end_slot(self) -> None:
+        """Ends this slot; a machine that steps once a slot does it now."""
+        for number, plans in self.plans.items():
+            safe = self.in_force(number) is None
+            self.counts["safe"] += safe
+            self.counts["held"] += not safe and plans.begun < self.slot
+        begins = not self.machine.at_once and self.apply()
+        self.slot += 1
+        if begins:
+            self.first = self.slot
+            for plans in self.plans.values():
+                plans.clear()
+
+    def summary(self) -> dict:
+        """What happened, as plain values."""
+        return {
+            "slots": self.slot,
+            "missed_deadlines": self.metronome.missed + self.late,
+            "missed_share": (self.metronome.missed + self.late) / max(self.slot, 1),
+            "updates": {name: self.counts[name] for name in ("sent", "lost")},
+            "commands": {"received": self.counts["commands"], **{n: self.counts[n] for n in ("safe", "held")}},
+            "round_trip_slots": max(plans.round_trip for plans in self.plans.values()),
+            "dropped": dict(self.port.drops),
+            "stages": {name: stage.summary() for name, stage in self.stages.items()},
+            "machine": self.machine.summary(),
+        }
