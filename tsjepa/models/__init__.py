@@ -5,9 +5,11 @@ from tsjepa.models.autoencoder import AutoencoderController, StateEstimator
 from tsjepa.models.controller import Controller
 from tsjepa.models.decoder import Decoder
 from tsjepa.models.encoder import Encoder
+from tsjepa.models.onnx_encoder import OnnxEncoder
 from tsjepa.models.predictor import Predictor, rollout
 from tsjepa.models.probe import StateProbe
 from tsjepa.models.semantic import SemanticController
+from tsjepa.models.timm_encoder import TimmEncoder
 
 __all__ = [
     "Actor",
@@ -15,9 +17,11 @@ __all__ = [
     "Controller",
     "Decoder",
     "Encoder",
+    "OnnxEncoder",
     "Predictor",
     "SemanticController",
     "StateEstimator",
     "StateProbe",
+    "TimmEncoder",
     "rollout",
 ]

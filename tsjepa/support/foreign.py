@@ -10,8 +10,13 @@ from types import ModuleType
 POINTER = b"version https://git-lfs.github.com/spec/"
 
 
-def optional(module: str) -> ModuleType:
-    """A module of the optional group ``data``.
+def optional(module: str, what: str = "This recording", extra: str = "data") -> ModuleType:
+    """A module of an optional group of packages.
+
+    Args:
+        module: to import.
+        what: needs it, as the sentence begins.
+        extra: the group that has it.
 
     Raises:
         ModuleNotFoundError: with the sentence that says what to install.
@@ -21,7 +26,7 @@ def optional(module: str) -> ModuleType:
     except ModuleNotFoundError as error:
         package = module.split(".")[0]
         raise ModuleNotFoundError(
-            f"This recording needs the package {package}: install it with `pip install 'tsjepa[data]'`."
+            f"{what} needs the package {package}: install it with `pip install 'tsjepa[{extra}]'`."
         ) from error
 
 

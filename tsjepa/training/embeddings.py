@@ -39,7 +39,8 @@ def embed_split(encoder: nn.Module, split: TensorDictBase, frame_spacing: int, b
     Returns:
         [episodes, T + 1 - first] with ``embedding`` [d] and what was carried, on the encoder's device.
     """
-    device = next(encoder.parameters()).device
+    weight = next(encoder.parameters(), None)  # none where an encoder is a graph of elsewhere
+    device = torch.device("cpu") if weight is None else weight.device
     stack = encoder.frame_shape[0]
     first = (stack - 1) * frame_spacing
     episodes, frames = split.batch_size
