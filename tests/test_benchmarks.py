@@ -86,6 +86,20 @@ def test_latency(tmp_path):
         assert all(row[name]["min"] > 0 for name in ("floor_milliseconds", "onnx_over_floor", "eager_over_onnx"))
 
 
+@pytest.mark.slow
+def test_experts(tmp_path):
+    small = ["--seeds", "2", "--starts", "3", "--entries", "1", "--output", str(tmp_path)]
+    subprocess.run([sys.executable, str(HOME / "experts.py"), *small], check=True, stdout=subprocess.DEVNULL)
+    result = json.loads((tmp_path / "experts.json").read_text())
+    kinds = {(row["expert"], row["held_slots"], row["noise"]) for row in result["rows"]}
+    assert len(kinds) == len(result["rows"]) == 12
+    assert all(row["starts"] == 6 and 0 <= row["failures"] <= 6 for row in result["rows"])
+    (card,) = result["cards"]
+    # a better normaliser makes every score smaller
+    assert card["every 1"]["searched"][0] < card["every 1"]["card"][0]
+    assert "| searched law | 1 |" in (tmp_path / "experts.md").read_text()
+
+
 @pytest.fixture
 def script(monkeypatch):
     """A benchmark's module, as it is imported when the script runs."""

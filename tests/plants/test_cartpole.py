@@ -60,6 +60,29 @@ def test_expert_passes_on_less_measurement_noise_than_the_reference():
     assert next(iter(experts)) == "expert" and CartPole().normaliser in experts
 
 
+@pytest.mark.slow
+def test_the_searched_law_scores_more_than_both_regulators_and_loses_nobody():
+    for noise in (0.0, 0.008):
+        plant = CartPole(process_noise_std=noise)
+        score, failed, _ = run(plant, 100, count=100, expert="searched law")
+        others = [run(plant, 100, count=100, expert=name)[0] for name in ("expert", "reference LQR")]
+        assert failed == 0 and score > max(others) + 0.15
+
+
+def test_the_searched_law_follows_the_wanted_position():
+    plant = CartPole(set_point_step=0.3, set_point_slots=100)
+    score, failed, final = run(plant, 99, count=50, expert="searched law")
+    wanted = plant.references(1_000_000, np.arange(50), np.zeros(50, np.int64), np.full(50, 98))
+    assert failed == 0 and score > 0.4
+    np.testing.assert_allclose(final[:, :1], wanted, atol=0.03)
+
+
+@pytest.mark.parametrize("other", [{"sampling_interval": 0.01}, {"pole_length": 0.5}])
+def test_the_searched_law_belongs_to_the_machine_that_it_was_searched_on(other):
+    assert list(CartPole(**other).experts()) == ["expert", "reference LQR"]
+    assert list(CartPole().experts()) == ["expert", "reference LQR", "searched law"]
+
+
 @pytest.mark.parametrize("slot", [0.002, 0.005, 0.01])
 def test_no_start_fails_at_shorter_intervals(slot):
     score, failed, _ = run(CartPole(slot), round(2.0 / slot), count=20)
