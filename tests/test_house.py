@@ -8,7 +8,7 @@ PACKAGE = Path(__file__).parent.parent / "tsjepa"
 # every room may use itself and the rooms before it in its line, and everybody may use support
 PURE = ("plants", "radio", "models")
 LINE = ("envs", "data", "training", "evaluation", "zoo")
-TOP = ("live", "paper")  # beside each other
+TOP = ("live", "paper", "watch")  # beside each other
 # who may step a plant or an environment beside plants/ and envs/: the loop of every evaluation, the recording, and the
 # plant that a device owns, which steps in real time
 ENVIRONMENT = ("step", "rollout", "step_and_maybe_reset")

@@ -47,6 +47,7 @@ MODULE_NAMES = {
     "dm_env": "dm-control",
     "OpenGL": "pyopengl",
     "PIL": "pillow",
+    "rerun": "rerun-sdk",
     "sklearn": "scikit-learn",
     "yaml": "pyyaml",
 }

@@ -36,6 +36,7 @@ COMMANDS = {
     ),
     "evaluate": ("tsjepa.evaluation.evaluate:evaluate", "close the loop on held-out starts and print the table"),
     "simulate": ("tsjepa.evaluation.simulate:simulate", "run a fleet of plants that share a radio"),
+    "watch": ("tsjepa.watch.command:watch", "show a running fleet as a web page of this machine"),
     "figures": ("tsjepa.paper.command:figures", "redraw the paper's figures, or run their sweeps"),
     "report": ("tsjepa.paper.report:report", "compare every figure with what the paper claims"),
     "export": ("tsjepa.zoo.export:export", "make a trained model an entry of the zoo"),

@@ -94,6 +94,25 @@ class FleetEnv(EnvBase):
         self._seed = int(seed or 0)
         self._episodes_started = np.zeros(self.numel(), np.int64)
 
+    def push(self, tensordict: TensorDictBase, device: int, slots: float) -> TensorDictBase:
+        """Hits one device of a fleet with one batch dimension, so that its controller does not know of it.
+
+        Args:
+            tensordict: the slot in which it happens; it stays as it is.
+            device: which one.
+            slots: the blow is what the actuator's largest command does to the machine in so many slots.
+
+        Returns:
+            The tensordict with another ``physics_state``.
+        """
+        rows, high = np.array([device]), np.asarray(self.plant.spec.action_high)
+        physics = tensordict["physics_state"].clone()
+        now = physics[rows].numpy()
+        counters = (self._seed, rows, tensordict["episode"][rows].numpy(), tensordict["slot"][rows].numpy())
+        pushed, left = (self.plant.advance(now, command[None], *counters) for command in (high, self._rest))
+        physics[rows] += slots * torch.from_numpy(pushed - left)
+        return tensordict.copy().set("physics_state", physics)
+
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs) -> TensorDictBase:
         if tensordict is not None and "_reset" in tensordict:
             chosen = tensordict["_reset"].reshape(-1).numpy()

@@ -14,17 +14,20 @@ from tqdm import tqdm
 from tsjepa.data.storage import read_metadata
 from tsjepa.envs.make import EXACT, HOLD, LOSSLESS, ZERO, at_weights, state_is_physics
 from tsjepa.evaluation.conditions import SEEDS, held_out_loop, load_on, plant_of, warn_of_another_renderer
-from tsjepa.evaluation.films import look_inside
+from tsjepa.evaluation.films import draws, look_inside
 from tsjepa.evaluation.metrics import Run
 from tsjepa.evaluation.open_loop import open_loop_metrics
 from tsjepa.evaluation.pictures import horizon_plot, loop_plot
+from tsjepa.evaluation.recorded import record_runs
 from tsjepa.evaluation.rollouts import ONCE, Loop, every, perfect_feedback, run
+from tsjepa.evaluation.shown import shown_run
 from tsjepa.evaluation.summary import score_by_slot, summary, table, watched_figures
 from tsjepa.plants import Plant, describe_plant
 from tsjepa.support.checks import at_least, within
 from tsjepa.support.files import write_json
 from tsjepa.support.provenance import machine as computer
 from tsjepa.support.provenance import provenance
+from tsjepa.support.recording import check_recording
 
 LABELS = {"tsjepa": "TS-JEPA"}  # by kind of model; the others are called by their kind
 NO_PLANT = "Closed loops are left out, because they need a plant and this model was trained on a recording."
@@ -45,6 +48,7 @@ def evaluate(
     blend: float = 1.0,
     codec: str = "fp32",
     video: bool = True,
+    record: str | None = None,
     device: str = "cpu",
 ) -> dict:
     """Closes the loop on held-out starts with an update every P slots and prints how each controller did.
@@ -70,6 +74,8 @@ def evaluate(
         codec: how an update is sent, see :class:`tsjepa.envs.Radio`; integer codecs need ranges that travel with the
             model.
         video: write the film and the still picture.
+        record: path of an ``.rrd`` file for the Rerun viewer, which shows the film's start at every period: pictures,
+            beliefs, states, commands, ages, when it sends. Needs ``pip install 'tsjepa[record]'``.
         device: where the model computes, such as cuda.
 
     Raises:
@@ -78,9 +84,13 @@ def evaluate(
     """
     at_least(0, **{f"periods[{i}]": period for i, period in enumerate(periods)})
     within(0, 1, blend=blend)
+    if record is not None:
+        check_recording(record)
     controller = load_on(model, device)
     metadata = read_metadata(data) if data else None  # a missing data set is said before the loops are run
     machine = plant_of(controller, plant, process_noise_std)
+    if machine is None and record is not None:
+        raise ValueError(f"The model {model} was trained on a recording: record needs a plant whose loop it can show.")
     if machine is None and not data:
         raise ValueError(f"The model {model} was trained on a recording: give --data to evaluate it, or a plant.")
     result = {"made_by": provenance(), "machine": computer(), "model": model, "model_sha256": controller.entry_sha256}
@@ -105,6 +115,9 @@ def evaluate(
     print(table(result))
     if loop is not None:
         pictures(loop, result, folder, video)
+        if record is not None:
+            runs = {after(period): shown_run(every(one_start(loop), period), seeds) for period in periods}
+            record_runs(record, runs, machine, controller)
     print(f"{'The figures' if loop is None else 'Figures, plots and film'} are in {folder}.")
     return result
 
@@ -183,11 +196,19 @@ def pictures(loop: Loop, result: dict, folder: Path, video: bool) -> None:
     loop_plot(result["closed_loop"], folder / "score.png")
     if any(row["update_every"] == "once" for row in result["closed_loop"]):
         horizon_plot(result["closed_loop"], result["optimal_score_by_slot"], folder / "horizon.png")
-    decoder = loop.controller.decoder
     if not video:
         return
-    if decoder is None or not getattr(decoder, "fitted", True):
+    if not draws(loop.controller):
         print("There is no film, because the decoder of this model was never trained.")
     else:
-        first = replace(loop, num_devices=1)
-        look_inside(first, len(result["seeds"]), folder / "loop.mp4", folder / "inside.png")
+        look_inside(one_start(loop), len(result["seeds"]), folder / "loop.mp4", folder / "inside.png")
+
+
+def one_start(loop: Loop) -> Loop:
+    """The loop of a single device; the seed after those of the figures is the start that is shown."""
+    return replace(loop, num_devices=1)
+
+
+def after(period: int) -> str:
+    """What a recording calls the run with an update every ``period`` slots."""
+    return {ONCE: "once", 1: "every slot"}.get(period, f"every {period} slots")

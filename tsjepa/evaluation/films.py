@@ -7,11 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from tensordict import TensorDictBase
 from torch import Tensor, nn
 
 from tsjepa.envs.make import at_weights
-from tsjepa.evaluation.rollouts import Loop, every, run
+from tsjepa.evaluation.rollouts import Loop, every
+from tsjepa.evaluation.shown import shown_run
+from tsjepa.models import Controller
 
 PERIOD = 5  # slots between updates in the film
 AHEAD = 1.0  # seconds that the shown prediction looks ahead
@@ -37,20 +38,12 @@ def look_inside(loop: Loop, seed: int, film: Path, strip: Path) -> None:
 
     model, slots = loop.controller, loop.slots
     ahead = round(AHEAD / loop.plant.spec.slot) if model.has_predictor else 0
-    beliefs, references, scenes = [], [], []
-
-    def watch(slot: int, now: TensorDictBase) -> None:
-        scenes.append(now["scene"][0, -1])
-        references.append(now.get("reference", None))
-        received = now["received"] if bool(now["delivered"]) else beliefs[-1]
-        beliefs.append(now["belief"] if model.has_predictor else received)
-
-    run(every(replace(loop, slots=slots + ahead), PERIOD), seed, watch)
-    camera = loop.plant.render(torch.stack(scenes).numpy())
-    belief = torch.cat(beliefs[:slots])
+    seen = shown_run(every(replace(loop, slots=slots + ahead), PERIOD), seed)
+    camera = loop.plant.render(seen.scenes[:, 0].numpy())
+    belief = seen.beliefs[:slots, 0]
     columns = [("camera", camera), ("decoded from the embedding", drawn(model, belief))]
     if ahead:
-        reference = None if references[0] is None else torch.cat(references[:slots])
+        reference = None if seen.references is None else seen.references[:slots, 0]
         later = drawn(model, imagine(model, belief, ahead, reference))
         columns += [(f"predicted {AHEAD:g} s ahead, decoded", later), (f"camera {AHEAD:g} s later", camera[ahead:])]
     pictures = [picture(columns, slot) for slot in range(slots)]
@@ -69,6 +62,12 @@ def imagine(model: nn.Module, belief: Tensor, slots: int, reference: Tensor | No
     for _ in range(slots):
         belief = predict(belief, act(belief, reference))
     return belief
+
+
+def draws(controller: str | Controller) -> bool:
+    """Whether what a controller believes can be drawn: it is a model with a trained decoder."""
+    decoder = controller.decoder if isinstance(controller, Controller) else None
+    return decoder is not None and bool(getattr(decoder, "fitted", True))
 
 
 @torch.no_grad()

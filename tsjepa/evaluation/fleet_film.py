@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from tsjepa.evaluation.films import write_video
 from tsjepa.evaluation.metrics import Run
+from tsjepa.evaluation.shown import Shown
 from tsjepa.plants.plant import Plant
 
 TILE_WIDTH = 96  # pixels
@@ -20,14 +20,6 @@ MOST_SHADED = 0.6  # of a picture's colour that gives way to the shade
 DELIVERED, LOST, SILENT = (178, 114, 0), (0, 94, 213), (225, 225, 225)
 STALE, FAILED, INK, GOOD = (120, 190, 250), (150, 150, 150), (50, 50, 50), (115, 158, 0)
 LEGEND = (("delivered", DELIVERED), ("lost", LOST), ("stale", STALE), ("failed", FAILED), ("score", GOOD))
-
-
-@dataclass(frozen=True)
-class Shown:
-    """A run to film, and the scenes [T, I, s] that its cameras saw."""
-
-    run: Run
-    scenes: np.ndarray
 
 
 def fleet_film(fleets: dict[str, Shown], plant: Plant, folder: Path) -> None:
@@ -65,7 +57,7 @@ def grid(name: str, shown: Shown, plant: Plant, slot: int, columns: int) -> np.n
     score = run.slot_score()[slot - 1].tolist() if slot else [0.0] * count  # of the state that the last slot ended in
     height, width = tile_size(plant.spec.frame)
     tiles = []
-    for device, frame in enumerate(plant.render(shown.scenes[slot])):
+    for device, frame in enumerate(plant.render(shown.scenes[slot].numpy())):
         picture = cv2.resize(frame[..., ::-1], (width, height), interpolation=cv2.INTER_AREA)
         tiles.append(tile(picture, run, slot, device, bool(fallen[device]), score[device]))
     tiles += [np.full_like(tiles[0], 255)] * (-count % columns)

@@ -112,9 +112,8 @@ def run(loop: Loop, seed: int, watch: Watch | None = None, env: TransformedEnv |
         now = policy(now)
         if watch is not None:
             watch(slot, now)
-        now = env.step(now)
-        scores.append(now["next", "reward"][..., 0])
-        following = step_mdp(now)
+        following = one_slot(env, now)
+        scores.append(following["reward"][..., 0])
         applied = following.get("applied_command", following.get("held_command", None))
         actions.append(now["action"] if applied is None else applied)
         states.append(following["state"])
@@ -122,6 +121,11 @@ def run(loop: Loop, seed: int, watch: Watch | None = None, env: TransformedEnv |
     record, state, action = torch.stack(records), torch.stack(states), torch.stack(actions)
     reference = None if references[0] is None else torch.stack(references)
     return _recorded(loop, record, state, action, reference, torch.stack(scores))
+
+
+def one_slot(env: TransformedEnv, commanded: TensorDictBase) -> TensorDictBase:
+    """What the next slot begins with, and the ``reward`` of the slot whose tensordict, with its command, is given."""
+    return step_mdp(env.step(commanded), exclude_reward=False)
 
 
 def _recorded(

@@ -8,8 +8,6 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import torch
-from tensordict import TensorDictBase
 from torch import Tensor
 from tqdm import tqdm
 
@@ -17,11 +15,13 @@ from tsjepa.envs import Radio
 from tsjepa.envs.make import HOLD, ON_STATE
 from tsjepa.evaluation import search as sizes_served
 from tsjepa.evaluation.conditions import load_on, plant_of, warn_of_another_renderer
-from tsjepa.evaluation.fleet_film import Shown, fleet_film
+from tsjepa.evaluation.fleet_film import fleet_film
 from tsjepa.evaluation.fleet_pictures import age_plot, capacity_plot, device_plot
 from tsjepa.evaluation.fleet_summary import as_csv, device_rows, summary, table
 from tsjepa.evaluation.metrics import normalized_score
+from tsjepa.evaluation.recorded import record_runs
 from tsjepa.evaluation.rollouts import Loop, optimal_scores, run
+from tsjepa.evaluation.shown import shown_run
 from tsjepa.models import Controller, entries
 from tsjepa.plants import Plant, describe_plant
 from tsjepa.radio.schedulers import SchedulerFunction, get_scheduler
@@ -30,6 +30,7 @@ from tsjepa.support.checks import at_least
 from tsjepa.support.files import write_json, write_text
 from tsjepa.support.journal import Journal
 from tsjepa.support.provenance import code_hash, provenance
+from tsjepa.support.recording import check_recording
 
 
 @dataclass(frozen=True)
@@ -69,6 +70,7 @@ def simulate(
     acceptable_score: float = 0.74,
     output: str = "runs/fleet",
     video: bool = True,
+    record: str | None = None,
     device: str = "cpu",
 ) -> dict:
     """Runs a fleet of plants on one radio under each scheduler, on the same plants and the same channels.
@@ -92,6 +94,8 @@ def simulate(
         acceptable_score: normalised score that the mean over the fleet has to keep.
         output: folder of the results.
         video: make the film.
+        record: path of an ``.rrd`` file for the Rerun viewer, which shows the first seed of the fleet under every
+            scheduler: pictures, beliefs, states, commands, ages, who sends. Needs ``pip install 'tsjepa[record]'``.
         device: where the model computes, such as cuda.
 
     Raises:
@@ -100,6 +104,10 @@ def simulate(
     """
     if num_devices is None and not search_over:
         raise ValueError("Nothing to do: give num_devices, search_over, or both.")
+    if record is not None:
+        check_recording(record)
+        if num_devices is None:
+            raise ValueError("A search is not recorded: give num_devices beside record.")
     at_least(2, seeds=seeds)
     at_least(1, slots=slots, frame_history=frame_history, search_resolution=search_resolution)
     if num_devices is not None:
@@ -113,7 +121,7 @@ def simulate(
     functions = [get_scheduler(scheduler) for scheduler in schedulers]
     model_or_name = load_controller(controller, device)
     machine = plant_for(model_or_name, plant)
-    film = video and num_devices is not None
+    film = (video or record is not None) and num_devices is not None
     camera = machine.camera() if film or isinstance(model_or_name, Controller) else {}
     warn_of_another_renderer(camera, getattr(model_or_name, "metrics", None))
     sizes = [*search_over] if num_devices is None else [num_devices, *search_over]
@@ -140,7 +148,7 @@ def simulate(
     experiment = Experiment(loop, named, optimal, made, folder)
     result = {}
     if num_devices is not None:
-        result["fleet"] = one_fleet(experiment, num_devices, video)
+        result["fleet"] = one_fleet(experiment, num_devices, video, record)
     if search_over:
         result["search"] = search(experiment, search_over, code_hash(type(machine), *functions), search_resolution)
     print(f"Figures and plots are in {folder}.")
@@ -185,19 +193,14 @@ def plant_for(controller: str | Controller, plant: Plant | None) -> Plant:
     return found
 
 
-def one_fleet(experiment: Experiment, count: int, video: bool) -> dict:
+def one_fleet(experiment: Experiment, count: int, video: bool, record: str | None) -> dict:
     """The fleet of ``count`` devices under every scheduler, with its files."""
     optimal, folder = experiment.optimal[:, :count], experiment.folder
-    runs, shown = {}, {}
+    runs, seen = {}, {}
     for scheduler in tqdm(experiment.schedulers, desc=f"{count} devices", unit="scheduler"):
-        loop, scenes = experiment.of(scheduler, count), []
-
-        def watch(slot: int, now: TensorDictBase, scenes: list[Tensor] = scenes) -> None:
-            scenes.append(now["scene"][:, -1])
-
-        first = run(loop, 0, watch)
-        runs[scheduler] = [first, *(run(loop, seed) for seed in range(1, len(optimal)))]
-        shown[scheduler] = Shown(first, torch.stack(scenes).numpy())
+        loop = experiment.of(scheduler, count)
+        seen[scheduler] = shown_run(loop, 0)
+        runs[scheduler] = [seen[scheduler].run, *(run(loop, seed) for seed in range(1, len(optimal)))]
     rows = [summary(scheduler, of_scheduler, optimal) for scheduler, of_scheduler in runs.items()]
     devices = [row for scheduler, of_scheduler in runs.items() for row in device_rows(scheduler, of_scheduler, optimal)]
     result = experiment.made | {"num_devices": count, "schedulers": rows}
@@ -206,7 +209,9 @@ def one_fleet(experiment: Experiment, count: int, video: bool) -> dict:
     device_plot(devices, folder / "scores.png")
     age_plot(rows, folder / "ages.png")
     if video:
-        fleet_film(dict(list(shown.items())[:2]), experiment.loop.plant, folder)
+        fleet_film(dict(list(seen.items())[:2]), experiment.loop.plant, folder)
+    if record is not None:
+        record_runs(record, seen, experiment.loop.plant, experiment.loop.controller)
     print(table(rows))
     return result
 

@@ -1,0 +1,116 @@
+"""A fleet whose setting changes goes on; a push is a push; who has failed starts anew."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import tiny_controller
+import torch
+
+from tsjepa.envs import Radio
+from tsjepa.evaluation.rollouts import Loop
+from tsjepa.plants import CartPole
+from tsjepa.watch.fleet import DOWN_S, PUSH_SLOTS, RunningFleet
+from tsjepa.watch.setting import Setting
+
+PLANT = CartPole()
+SLOT = PLANT.spec.slot
+SETTING = Setting(devices=4, snr_db=20.0, loss=0.0, scheduler="round_robin", codec="fp32")
+
+
+def fleet(controller="linear", setting=SETTING, resource_blocks=2) -> RunningFleet:
+    radio = Radio(resource_blocks=resource_blocks)
+    return RunningFleet(Loop(PLANT, controller, slots=2**31, radio=radio, frame_history=2), setting)
+
+
+def run(running: RunningFleet, slots: int) -> RunningFleet:
+    for _ in range(slots):
+        running.slot()
+    return running
+
+
+@pytest.mark.parametrize("devices", [2, 4, 6])
+def test_machines_and_beliefs_go_on_when_the_setting_changes(devices):
+    running = run(fleet(tiny_controller.tiny()), 5)
+    before = running.now.clone()
+    running.change(replace(SETTING, devices=devices, snr_db=5.0, scheduler="max_age", codec="fp16"))
+    both = min(devices, 4)
+    assert running.now.shape == (devices,)
+    for key in ("physics_state", "scene", "belief", "slot", "age_of_information"):
+        assert torch.equal(running.now[key][:both], before[key][:both]), key
+    assert running.snapshot().setting == replace(
+        SETTING, devices=devices, snr_db=5.0, scheduler="max_age", codec="fp16"
+    )
+    assert run(running, 2).snapshot().slot == 7
+
+
+def test_the_radio_is_as_the_sliders_say():
+    running = fleet()
+    assert run(running, 20).snapshot().age.max() == 2  # two of four in turn, 15 dB above the threshold
+    running.change(replace(SETTING, loss=1.0))
+    lost = run(running, 20).snapshot()
+    assert lost.age.min() >= 20
+    assert lost.sent.all()
+    assert not lost.delivered.any()
+    running.change(replace(SETTING, scheduler="none"))
+    assert not run(running, 5).snapshot().sent.any()
+
+
+def test_a_codec_of_more_bits_raises_the_rate():
+    rates = {codec: run(fleet(setting=replace(SETTING, codec=codec)), 50).bit_rate for codec in ("fp32", "fp16")}
+    assert rates["fp32"] == pytest.approx(2 * rates["fp16"])
+    steady = 2 * 4 * 32 / SLOT  # two devices, four numbers
+    assert rates["fp32"] == pytest.approx(steady * (1 - (1 - SLOT / 2) ** 50))
+
+
+def test_a_setting_that_cannot_be_is_refused_and_the_fleet_goes_on():
+    model = tiny_controller.tiny()
+    model.code_low.fill_(float("nan"))
+    running = fleet(model)
+    running.change(replace(SETTING, codec="int8"))
+    assert "needs ranges" in running.snapshot().complaint
+    assert run(running, 2).snapshot().setting == SETTING
+    running.change(replace(SETTING, codec="fp16"))
+    assert running.snapshot().complaint == ""
+
+
+def test_a_snapshot_says_who_has_sent_since_the_one_before():
+    running = fleet(resource_blocks=1)
+    assert run(running, 1).snapshot().sent.sum() == 1
+    assert run(running, 3).snapshot().sent.sum() == 3
+    assert run(running, 4).snapshot().sent.sum() == 4
+    assert running.snapshot().sent.sum() == 0
+
+
+def test_a_push_gives_one_machine_the_momentum_of_the_largest_command_and_nobody_is_told():
+    running = run(fleet(), 3)
+    before = running.now.clone()
+    running.push(1)
+    others = torch.tensor([0, 2, 3])
+    assert torch.equal(running.now["physics_state"][others], before["physics_state"][others])
+    assert torch.equal(running.now["belief"], before["belief"])
+    gained = (running.now["physics_state"] - before["physics_state"])[1]
+    # 20 N for one and a half slots on 1.1 kg, of which the pole's .1 kg is moved by half
+    force, mass = PLANT.spec.action_high[0], 1.1
+    assert float(gained[2]) == pytest.approx(force * PUSH_SLOTS * SLOT / mass, rel=0.1)
+    assert float(gained[3]) < 0  # the pole falls behind
+    running.push(9)  # a device that has gone
+    assert torch.equal(running.now["physics_state"][others], before["physics_state"][others])
+
+
+def test_who_has_failed_is_shown_as_failed_and_starts_anew():
+    running = fleet("hold", replace(SETTING, scheduler="none"))
+    failed, episodes = [], []
+    for _ in range(250):
+        running.slot()
+        failed.append(running.snapshot().failed.copy())
+        episodes.append(running.now["episode"].numpy().copy())
+    failed, episodes = np.array(failed), np.array(episodes)
+    assert (episodes[0] == 0).all()
+    assert (episodes[-1] >= 1).all()
+    for device in range(4):
+        anew = int(episodes[:, device].argmax())  # the first slot of the next episode
+        first = int(failed[:, device].argmax())
+        assert (anew - first + 1) * SLOT >= DOWN_S
+        assert not failed[anew, device]
+    assert (running.snapshot().score < 0.5).all()
