@@ -79,7 +79,7 @@ figures: setup ## redraw every figure of the paper from the recorded results
 figures-check: setup ## run a small point of every recorded sweep again and compare
 	$(BIN)/tsjepa figures --check true
 
-report: setup ## write docs/report.md and docs/report.html: each figure beside the paper's claims
+report: setup ## write docs/results/report.md and report.html: each figure beside the paper's claims
 	$(BIN)/tsjepa report
 
 test: setup ## run all tests, on every core, each on one thread

@@ -31,7 +31,7 @@ th { background: #f3f3f3; } img { max-width: 100%; } code { background: #f3f3f3;
 """
 
 
-def report(output: str = "docs", results: str = RESULTS) -> None:
+def report(output: str = "docs/results", results: str = RESULTS) -> None:
     """Writes report.md and report.html, which holds its pictures itself.
 
     Args:
