@@ -21,7 +21,7 @@ OUTAGE = 3  # periods: a shorter loss is an ordinary one
 
 def trace(
     action: Literal["import"], path: str, output: str, column: str | None = None, period_s: float | None = None
-) -> None:
+) -> dict:
     """Measured radio links: ``tsjepa trace import LOG TABLE.parquet``.
 
     Args:
@@ -30,8 +30,11 @@ def trace(
         output: the Parquet file to write; a picture (.png) and a report (.json) lie beside it.
         column: which of the log's columns is which, as "delay_ms=delay(ms), time_s=clock".
         period_s: seconds between rows, for logs without times; the step in which delivery opportunities are read.
+
+    Returns:
+        The report, see :func:`import_trace`.
     """
-    import_trace(path, output, column, period_s)
+    return import_trace(path, output, column, period_s)
 
 
 def import_trace(path: str, output: str, column: str | None = None, period_s: float | None = None) -> dict:
