@@ -139,7 +139,7 @@ class CartPole(MujocoPlant):
         over diagonal Q, clips and saturations, scored with and without noise. Its command answers errors in the state
         about half as much as that of ``reference LQR``, Q = diag(10, 10, 0.1, 0.1), R = 1e-3, clipped at 0.5 m.
         """
-        a, b = self.linear()
+        a, b = self.linearised()
         low, high = self.spec.action_low, self.spec.action_high
         return {
             "expert": ClippedLQR(lqr_gain(a, b, *EXPERT_WEIGHTS), 0.65, low, high),
@@ -153,4 +153,4 @@ class CartPole(MujocoPlant):
     def error_cost(self) -> tuple[Tensor, Tensor]:
         """P of the expert's weights, and the noise on the two velocities."""
         variances = torch.cat((torch.zeros(2), torch.tensor(self.process_noise_std.copy()) ** 2))
-        return lqr_value(*self.linear(), *EXPERT_WEIGHTS), torch.diag(variances)
+        return lqr_value(*self.linearised(), *EXPERT_WEIGHTS), torch.diag(variances)
