@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import re
 import shlex
+import subprocess
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
-PAGES = sorted(page.relative_to(ROOT).as_posix() for page in [*ROOT.glob("*.md"), *DOCS.rglob("*.md")])
+LISTED = subprocess.run(["git", "ls-files", "*.md"], cwd=ROOT, check=True, capture_output=True, text=True).stdout
+PAGES = [page for page in LISTED.split() if page.startswith("docs/") or "/" not in page]
 
 
 def text_of(page: str) -> str:
@@ -50,4 +52,9 @@ def joined(block: str) -> list[str]:
 
 def links(page: str) -> list[str]:
     """Targets of the links and pictures of a page."""
-    return re.findall(r"\]\(\s*([^)\s]+)[^)]*\)", prose(page))
+    return links_in(prose(page))
+
+
+def links_in(text: str) -> list[str]:
+    """Targets of the links and pictures of a text."""
+    return re.findall(r"\]\(\s*([^)\s]+)[^)]*\)", text)
