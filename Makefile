@@ -20,7 +20,7 @@ BIN := $(VENV)/bin
 PYTEST = $(BIN)/python -m pytest --numprocesses logical --maxprocesses 8 --dist loadfile
 STAMP := $(VENV)/.setup-done
 
-.PHONY: help setup train-jepa train-actor train-supervised train-autoencoder data evaluate demo figures figures-check report test test-fast lint faults audit bench
+.PHONY: help setup train-jepa train-actor train-supervised train-autoencoder data evaluate demo figures figures-check report test test-fast lint types docs wheel faults audit bench
 
 help: ## print this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "%-18s %s\n", $$1, $$2}' Makefile
@@ -79,7 +79,7 @@ figures: setup ## redraw every figure of the paper from the recorded results
 figures-check: setup ## run a small point of every recorded sweep again and compare
 	$(BIN)/tsjepa figures --check true
 
-report: setup ## write docs/report.md and docs/report.html: each figure beside the paper's claims
+report: setup ## write docs/results/report.md and report.html: each figure beside the paper's claims
 	$(BIN)/tsjepa report
 
 test: setup ## run all tests, on every core, each on one thread
@@ -104,3 +104,14 @@ audit: setup ## look up the installed packages in the database of known vulnerab
 lint: setup ## check style and formatting
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+
+types: setup ## check the types of what users call
+	$(BIN)/python -m mypy
+
+docs: setup ## build the documentation site into docs/_build/html; warnings are errors
+	$(BIN)/python -m sphinx -q -W --keep-going -b html docs docs/_build/html
+	@echo "docs/_build/html/index.html"
+
+wheel: setup ## build the wheel into dist and check it as the package index does
+	$(BIN)/python -m hatchling build -t wheel
+	$(BIN)/python -m twine check --strict dist/*.whl

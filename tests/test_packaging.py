@@ -42,6 +42,7 @@ TARGETS = [
     "help",
 ]
 TARGETS += ["train-supervised", "train-autoencoder", "figures", "figures-check", "report", "faults", "audit", "bench"]
+TARGETS += ["types", "docs", "wheel"]
 MODULE_NAMES = {
     "cv2": "opencv-python-headless",
     "dm_env": "dm-control",
@@ -108,9 +109,49 @@ def test_wheel_holds_code_model_recipes_and_zoo(wheel):
     tracked = subprocess.run(
         ["git", "ls-files", "tsjepa", "recipes", "checkpoints"], cwd=ROOT, check=True, capture_output=True, text=True
     ).stdout.split()
-    assert "tsjepa/recipes/jepa.yaml" in names
+    assert {"tsjepa/recipes/jepa.yaml", "tsjepa/py.typed"} <= names
     assert {name if name.startswith("tsjepa/") else f"tsjepa/{name}" for name in tracked} <= names
     assert not any(name.startswith("tests/") for name in names)
+
+
+@pytest.mark.slow
+def test_the_package_index_would_take_the_wheel(wheel):
+    done = subprocess.run(
+        [sys.executable, "-m", "twine", "check", "--strict", wheel.filename], capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stdout
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("version", ["3.10", "3.11", "3.12"])
+def test_every_module_compiles_on_every_supported_python(wheel, tmp_path, version):
+    python = interpreter(version)
+    if python is None:
+        pytest.skip(f"there is no Python {version} here")
+    wheel.extractall(tmp_path)
+    compiled = subprocess.run([python, "-m", "compileall", "-q", tmp_path], capture_output=True, text=True)
+    assert compiled.returncode == 0, compiled.stdout
+    alone = [
+        python,
+        "-S",
+        "-c",
+        "import tsjepa; print(tsjepa.__all__)",
+    ]  # what others wrote is imported when it is used
+    assert subprocess.run(alone, cwd=tmp_path, capture_output=True, text=True, check=True).stdout == "['load']\n"
+
+
+def interpreter(version: str) -> str | None:
+    """A Python of this version on the path or of pyenv's."""
+    places = [shutil.which(f"python{version}"), *Path.home().glob(f".pyenv/versions/{version}.*/bin/python")]
+    for python in filter(None, places):
+        probe = [str(python), "-c", "import sys; print('%d.%d' % sys.version_info[:2])"]
+        if subprocess.run(probe, capture_output=True, text=True).stdout.strip() == version:
+            return str(python)
+    return None
+
+
+def test_the_change_log_begins_with_this_version():
+    assert f"## {PROJECT['version']}" in (ROOT / "CHANGELOG.md").read_text()
 
 
 def embeddings() -> dict[str, list[float]]:

@@ -265,7 +265,9 @@ def main() -> None:
     parser.add_argument("--output", help="default: benchmarks.md in that folder")
     options = parser.parse_args()
     text = table(Path(options.results))
-    write_text(options.output or Path(options.results) / "benchmarks.md", text)
+    write_text(
+        options.output or Path(options.results) / "benchmarks.md", f"# Benchmarks\n\nMade by `make bench`.\n\n{text}"
+    )
     print(text)
 
 

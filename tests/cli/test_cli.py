@@ -1,13 +1,18 @@
 """The command line: help, exit statuses, and what is said when something is wrong."""
 
 import importlib.metadata
+import json
+import re
+import shlex
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
 from tsjepa import cli
 from tsjepa.cli import doctor
+from tsjepa.cli.afterwards import STEPS, next_step
 from tsjepa.cli.errors import explain
 from tsjepa.support import recipes
 from tsjepa.support.gl import missing_backend_message
@@ -46,10 +51,13 @@ def test_every_command_has_help(capsys, command):
 @pytest.mark.parametrize(
     ("arguments", "named"),
     [
-        ([], "a command is missing"),
-        (["trian"], "'trian'"),
+        (["evalute"], "there is no command 'evalute' - did you mean evaluate?"),
+        (["xyzzy"], "there is no command 'xyzzy' (commands: tsjepa --help)"),
         (["doctor", "--frames", "many"], "frames"),
-        (["doctor", "--frmes", "3"], "--frmes"),
+        (["doctor", "--frmes", "3"], "unrecognized arguments: --frmes 3 - did you mean frames?"),
+        (["doctor", "--xyzzy", "3"], "unrecognized arguments: --xyzzy 3 (options: tsjepa doctor --help)"),
+        (["fit", "--modl", "x"], "did you mean model?"),
+        (["collect", "--plant", "CartPole", "--plant.sampling_intervall", "1"], "did you mean sampling_interval?"),
         (["collect", "--config", "absent.yaml"], "absent.yaml"),
         (["fit", "--config", "absent.yaml"], "absent.yaml"),
         (["fit", "--trainer.max_epochs", "many"], "trainer.max_epochs"),
@@ -62,6 +70,82 @@ def test_wrong_arguments_are_answered_in_one_line_and_status_2(capsys, arguments
     assert output == ""
     assert named in complaint
     assert len(complaint.splitlines()) == 1
+
+
+def test_without_a_command_three_are_named_that_parse(capsys):
+    status, output, complaint = run(capsys)
+    assert status == 0 and complaint == ""
+    steps = re.findall(r"^  tsjepa (\S.*?)  ", output, flags=re.MULTILINE)
+    assert len(steps) == 3
+    for step in steps:
+        assert run(capsys, *step.split(), "--print_config")[0] == 0, step
+
+
+def test_a_key_of_a_recipe_is_suggested_too(capsys, tmp_path):
+    for command, text, meant in (
+        ("simulate", "controler: hold", "controller"),
+        ("fit", "trainer: {max_epoch: 3}", "trainer.max_epochs"),
+    ):
+        (tmp_path / "recipe.yaml").write_text(text)
+        status, _, complaint = run(capsys, command, "--config", str(tmp_path / "recipe.yaml"))
+        assert status == 2
+        assert f"did you mean {meant}?" in complaint
+
+
+def test_json_is_all_that_stands_on_standard_output(capsys):
+    status, output, complaint = run(capsys, "zoo", "--json")
+    assert status == 0
+    assert "tsjepa-cartpole" in {entry["entry"] for entry in json.loads(output)}
+    assert "| tsjepa-cartpole " in complaint
+
+
+@pytest.mark.parametrize(
+    ("command", "values", "result"),
+    [
+        ("fit", {}, {"acts": False, "model": "runs/jepa/model", "data": "data/cartpole"}),
+        ("fit", {}, {"acts": True, "model": "runs/actor/model", "data": "data/cartpole"}),
+        ("collect", {}, Path("data/cartpole")),
+        ("import", {}, Path("data/mine")),
+        ("evaluate", {"model": "tsjepa-cartpole"}, {"closed_loop": []}),
+        ("evaluate", {"model": "tsjepa-cartpole"}, {"open_loop": {}}),
+        ("simulate", {"controller": "hold"}, {"fleet": {}}),
+        ("export", {}, {"entry": "checkpoints/mine"}),
+        ("figures", {}, [{"figure": "bits", "points": 3}]),
+    ],
+)
+def test_what_to_do_next_is_a_command_that_parses(capsys, command, values, result):
+    said = next_step(command, values, result)
+    words = said[said.index(": tsjepa ") :].split()[2:]
+    assert run(capsys, *words, "--print_config")[0] == 0, said
+
+
+def test_what_to_do_next_covers_every_case_above_and_no_other():
+    assert set(STEPS) == {"fit", "collect", "import", "evaluate", "simulate", "export", "figures"}
+    assert next_step("doctor", {}, {"mend": []}) is None
+    assert next_step("fit", {}, {}) is None  # another process of a parallel fit
+
+
+def test_bash_completes_commands_and_options(capsys):
+    status, script, _ = run(capsys, "completion", "bash")
+    assert status == 0
+
+    def completed(*words: str) -> set[str]:
+        line = " ".join(shlex.quote(word) for word in ("tsjepa", *words))
+        program = f"{script}\nCOMP_WORDS=({line}); COMP_CWORD={len(words)}; _tsjepa; echo ${{COMPREPLY[@]}}"
+        return set(subprocess.run(["bash", "-c", program], capture_output=True, text=True, check=True).stdout.split())
+
+    assert completed("ev") == {"evaluate"}
+    assert completed("") == set(ALL_COMMANDS)
+    assert completed("simulate", "--radio.reso") == {"--radio.resource_blocks"}
+    assert {"--trainer.max_epochs", "--ckpt_path"} <= completed("fit", "--")
+    assert completed("evaluate", "runs/") == set()  # left to the shell, which completes files
+
+
+def test_fish_completes_the_same(capsys):
+    _, script, _ = run(capsys, "completion", "fish")
+    lines = script.splitlines()
+    assert any("-a evaluate -d" in line for line in lines)
+    assert "complete -c tsjepa -n '__fish_seen_subcommand_from simulate' -l radio.resource_blocks" in lines
 
 
 def test_what_the_program_refuses_is_said_without_a_traceback(capsys):

@@ -19,7 +19,7 @@ from tsjepa.models import entries
 from tsjepa.plants import CartPole
 
 ROOT = Path(__file__).parents[2]
-PAGE = ROOT / "docs" / "recordings.md"
+PAGE = ROOT / "docs" / "how-to" / "recordings.md"
 ABSENT = ("mujoco", "dm_control", "labmaze")
 EPISODES, SLOTS = 20, 40
 COMMANDS = [

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import recordings as make
 
+from tsjepa import cli
 from tsjepa.data.cutting import starts
 from tsjepa.data.import_plan import merge_notes
 from tsjepa.data.importer import import_recording, resize
@@ -244,7 +245,7 @@ def test_inspect_says_what_import_does_and_names_the_command(tmp_path, capsys):
     assert "LeRobot v2.1" in text and "episode 1: 3 pictures, 3 rows, 20 Hz" in text
     assert "left_n [N]: " in text and "pixels: [16, 24, 3]" in text
     assert result["command"] == f"tsjepa import {path} data/recording --slots 8"
-    inspect_recording(str(path), json=True)
+    assert cli.main(["inspect", str(path), "--json"]) == 0
     assert json.loads(capsys.readouterr().out) == json.loads(json.dumps(result))
 
 

@@ -13,7 +13,7 @@ import recordings as make
 from tsjepa.data.importer import import_recording
 from tsjepa.data.storage import open_split
 
-PAGE = Path(__file__).parents[2] / "docs" / "recordings.md"
+PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "recordings.md"
 
 
 @pytest.mark.skipif(not PAGE.exists(), reason="the docs are not part of this installation")

@@ -1,14 +1,15 @@
-"""The Python code on every page of the docs runs, its blocks one after the other."""
+"""The Python code on every page runs, its blocks one after the other."""
 
-import re
 import sys
 from pathlib import Path
 from types import ModuleType
 
 import pytest
+from pages import PAGES, blocks
 
-DOCS = Path(__file__).parents[2] / "docs"
-PAGES = sorted(page.name for page in DOCS.glob("*.md") if "```python" in page.read_text())
+# needs frames; tests/docs/test_readme.py gives it some
+ELSEWHERE = {"README.md"}
+WITH_CODE = [page for page in PAGES if blocks(page, "python") and page not in ELSEWHERE]
 
 
 def test_every_test_that_a_page_names_is_there():
@@ -18,12 +19,12 @@ def test_every_test_that_a_page_names_is_there():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("page", PAGES)
+@pytest.mark.parametrize("page", WITH_CODE)
 def test_the_code_on_a_page_runs(page, capsys, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
-    module = ModuleType(page.removesuffix(".md").replace("-", "_"))
+    module = ModuleType("page_" + Path(page).stem.replace("-", "_"))  # a page may be called like a package
     monkeypatch.setitem(sys.modules, module.__name__, module)  # a class of the page is found by its path
-    blocks = re.findall(r"```python\n(.*?)```", (DOCS / page).read_text(), flags=re.DOTALL)
-    for block in blocks:
+    code = blocks(page, "python")
+    for block in code:
         exec(compile(block, page, "exec"), vars(module))
-    assert bool(capsys.readouterr().out.strip()) == ("print(" in "".join(blocks))
+    assert bool(capsys.readouterr().out.strip()) == ("print(" in "".join(code))

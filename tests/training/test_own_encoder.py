@@ -16,7 +16,7 @@ from tsjepa import cli
 from tsjepa.models import entries
 from tsjepa.support import trust
 
-PAGE = Path(__file__).parents[2] / "docs" / "write-an-encoder.md"
+PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "write-an-encoder.md"
 STEPS = {"max_epochs": -1, "max_steps": 3, "limit_val_batches": 0, "enable_checkpointing": False, "logger": False}
 LOOPS = ["--slots=80", "--seeds=2", "--video=false"]
 

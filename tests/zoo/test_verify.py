@@ -81,7 +81,10 @@ def test_a_run_becomes_an_entry_with_one_command_and_is_evaluated_once(evaluatio
     (home / "runs/actor/evaluation/evaluation.json").unlink(missing_ok=True)
     assert cli.main(["export", "runs/actor", "first", "--folder", "exported"]) == 0
     assert evaluations == [(str(Path("runs/actor/model")), str(Path("runs/actor/evaluation")), "data/tiny")]
-    assert capsys.readouterr().out.splitlines()[-1] == f"first written to {Path('exported/first')}."
+    assert capsys.readouterr().out.splitlines()[-2:] == [
+        f"first written to {Path('exported/first')}.",
+        f"Next, score it again from its files: tsjepa zoo verify {Path('exported/first')}",
+    ]
     assert cli.main(["export", "runs/actor/model", "second", "--folder", "exported"]) == 0
     assert len(evaluations) == 1
     first, second = (tsjepa.load(f"exported/{name}") for name in ("first", "second"))

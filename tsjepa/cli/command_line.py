@@ -8,14 +8,18 @@ from __future__ import annotations
 
 import importlib
 import importlib.metadata
+import json
 import os
 import sys
 from collections.abc import Callable, Sequence
-from contextlib import nullcontext
+from contextlib import nullcontext, redirect_stdout
 from pathlib import Path
+from typing import Any
 
+from tsjepa.cli.afterwards import next_step
 from tsjepa.cli.errors import exit_status, explain
 from tsjepa.support.files import exclusive
+from tsjepa.support.nearest import did_you_mean
 from tsjepa.support.recipes import parse_arguments
 from tsjepa.support.trust import TRUST, everything_trusted, restrict_recipes
 
@@ -45,7 +49,16 @@ COMMANDS = {
     "controller": ("tsjepa.live.controller:controller", "control many devices by UDP"),
     "zoo": ("tsjepa.zoo.verify:zoo", "list the pretrained models, or verify them: tsjepa zoo verify"),
     "doctor": ("tsjepa.cli.doctor:doctor", "tell what this machine offers and what to mend"),
+    "completion": ("tsjepa.cli.completion:completion", "print a script that completes commands and options in a shell"),
 }
+JSON = "--json"
+FIRST_STEPS = """Control machines from pixels over a radio that cannot carry video. Three commands to start with:
+
+  {program} doctor                                what this machine offers, and how long training takes on it
+  {program} simulate --config recipes/demo.yaml   a pretrained model controls cart-poles over a lossy radio
+  {program} zoo                                   the pretrained models and their scores
+
+{program} --help lists all commands."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -66,27 +79,24 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     program = "lightning" if Path(sys.argv[0]).name == "lightning" else "tsjepa"
     command, *options = (sys.argv[1:] if arguments is None else list(arguments)) or [""]
-    trusted = TRUST in options
-    options = [option for option in options if option != TRUST]
+    trusted, as_json = TRUST in options, JSON in options
+    options = [option for option in options if option not in (TRUST, JSON)]
+    known = [*LIGHTNING_COMMANDS, *COMMANDS]
     try:
-        if not trusted and command in {**LIGHTNING_COMMANDS, **COMMANDS}:
-            restrict_recipes()
-        if command in ("-h", "--help"):
+        if command == "":
+            print(FIRST_STEPS.format(program=program))
+        elif command in ("-h", "--help"):
             print(_help(program), flush=True)
         elif command == "--version":
             print(f"tsjepa {importlib.metadata.version('tsjepa')}")
-        elif command in {**LIGHTNING_COMMANDS, **COMMANDS}:
+        elif command in known:
+            if not trusted:
+                restrict_recipes()
             with everything_trusted() if trusted else nullcontext():
-                if command in LIGHTNING_COMMANDS:
-                    from tsjepa.training.run import run_lightning
-
-                    run_lightning(command, options, program, trusted)
-                else:
-                    run_command(command, options, program)
+                return _answer(command, options, program, trusted, as_json)
         else:
-            given = f"there is no command '{command}'" if command else "a command is missing"
-            known = ", ".join([*LIGHTNING_COMMANDS, *COMMANDS])
-            print(f"{program}: {given}; choose from {known}.", file=sys.stderr)
+            meant = did_you_mean(command, known)
+            print(f"{program}: there is no command '{command}'{meant} (commands: {program} --help)", file=sys.stderr)
             return 2
     except KeyboardInterrupt:
         return 130
@@ -107,6 +117,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
 lightning_main = main
 
 
+def _answer(command: str, options: list[str], program: str, trusted: bool, as_json: bool) -> int:
+    """Runs a command, and says what to do next or prints its result as JSON; the exit status."""
+    # what is said on the way would spoil the JSON
+    with redirect_stdout(sys.stderr) if as_json else nullcontext():
+        if command in LIGHTNING_COMMANDS:
+            from tsjepa.training.run import run_lightning
+
+            values, result = {}, run_lightning(command, options, program, trusted)
+        else:
+            values, result = run_command(command, options, program)
+    if as_json:
+        print(json.dumps({"path": str(result)} if isinstance(result, Path) else result, indent=2))
+    elif (step := next_step(command, values, result)) is not None:
+        print(f"Next, {step}")
+    return 1 if command == "doctor" and result["mend"] else 0
+
+
 def _help(program: str) -> str:
     commands = {**LIGHTNING_COMMANDS, **{name: summary for name, (_, summary) in COMMANDS.items()}}
     return "\n".join(
@@ -116,22 +143,31 @@ def _help(program: str) -> str:
             "commands:",
             *(f"  {name:<13}{summary}" for name, summary in commands.items()),
             "",
-            f"{program} COMMAND --help lists the options of a command. With {TRUST}, its recipe may name classes of",
-            "any package, and a checkpoint is unpickled: for files that you made yourself.",
+            f"{program} COMMAND --help lists the options of a command. With {JSON} its result is printed as JSON, and",
+            f"what it says on the way goes to standard error. With {TRUST} its recipe may name classes of any package,",
+            "and a checkpoint is unpickled: for files that you made yourself.",
         ]
     )
 
 
-def run_command(command: str, options: list[str], program: str = "tsjepa") -> None:
+def run_command(command: str, options: list[str], program: str = "tsjepa") -> tuple[dict[str, Any], Any]:
     """Run one of :data:`COMMANDS` with ``options`` as they stand on a command line; its errors are not caught.
 
     Words before the first option are arguments in the order of the function's parameters: ``tsjepa export RUN NAME``.
+
+    Returns:
+        The arguments, and what the command's function returns: plain values or a path.
     """
     from tsjepa.support.allocator import keep_freed_memory
 
     keep_freed_memory()
-    module, name = COMMANDS[command][0].split(":")
-    function: Callable = getattr(importlib.import_module(module), name)
+    function = function_of(command)
     values = parse_arguments(function, options, f"{program} {command}", COMMANDS[command][1])
     with exclusive(values["output"]) if values.get("output") else nullcontext():
-        function(**values)
+        return values, function(**values)
+
+
+def function_of(command: str) -> Callable:
+    """The typed function of one of :data:`COMMANDS`."""
+    module, name = COMMANDS[command][0].split(":")
+    return getattr(importlib.import_module(module), name)

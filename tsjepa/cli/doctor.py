@@ -10,6 +10,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 from packaging.requirements import Requirement
 
@@ -17,6 +18,7 @@ from tsjepa.support.gl import missing_backend_message
 
 # Frames of the data sets, checkpoints and logs of `make train-jepa`.
 _NEEDED_DISK_GIB = 4
+ALL_WELL = "All is well: this machine can collect data and train."
 _TRIAL = """
 import time
 import numpy as np
@@ -31,15 +33,17 @@ print("frames/s", {frames} / (time.perf_counter() - start) if first.std() > 0 el
 """
 
 
-def doctor(frames: int = 200) -> None:
+def doctor(frames: int = 200) -> dict[str, Any]:
     """Print what was found, one line each, and what to mend, one sentence each.
 
     Args:
         frames: Number of frames to render when the speed of the camera is measured.
 
+    Returns:
+        ``found``, by name, and the sentences of ``mend``, without which data can be collected and a model trained.
+
     Raises:
         ValueError: If ``frames`` is below 1.
-        SystemExit: 1 when something has to be mended before data can be collected and a model trained.
     """
     if frames < 1:
         raise ValueError(f"frames is {frames}; at least 1 has to be rendered to measure the speed.")
@@ -51,12 +55,12 @@ def doctor(frames: int = 200) -> None:
         found |= dict(lines)
     if not to_mend:
         rate = float(found["rendering"].split(": ")[1].split()[0])
-        print(*(f"{name:<12}{value}" for name, value in _speed(rate)), sep="\n", flush=True)
+        speed = _speed(rate)
+        print(*(f"{name:<12}{value}" for name, value in speed), sep="\n", flush=True)
+        found |= dict(speed)
     print()
-    if to_mend:
-        print(*(f"mend: {sentence}" for sentence in to_mend), sep="\n")
-        raise SystemExit(1)
-    print("All is well: this machine can collect data and train.")
+    print(*[f"mend: {sentence}" for sentence in to_mend] or [ALL_WELL], sep="\n")
+    return {"found": found, "mend": to_mend}
 
 
 Report = tuple[list[tuple[str, str]], list[str]]

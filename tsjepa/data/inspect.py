@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json as json_module
 import shlex
 import time
 from collections.abc import Iterator
@@ -23,7 +22,6 @@ LOOKED_AT = 24  # pictures of the first episode that are compared
 
 def inspect_recording(
     path: str,
-    json: bool = False,
     camera: str | None = None,
     action: list[str] | str | None = None,
     state: list[str] | str | None = None,
@@ -37,7 +35,6 @@ def inspect_recording(
 
     Args:
         path: file or folder.
-        json: print JSON instead of text.
         camera, action, state, time, rate_hz, reader: as for ``tsjepa import``.
 
     Returns:
@@ -52,7 +49,7 @@ def inspect_recording(
         if (report := _trace(path)) is None:
             raise
         result, said = report
-        print(json_module.dumps(result, indent=2) if json else said)
+        print(said)
         return result
     plan = plan_import(recording)
     first = plan.parts[0].episode
@@ -77,7 +74,7 @@ def inspect_recording(
         "notes": [*plan.notes, *coding_notes(first.frames), *_still(first), lag_note(plan), *recording.cut_short],
         "command": shlex.join(words),
     }
-    print(json_module.dumps(result, indent=2) if json else _text(path, result))
+    print(_text(path, result))
     return result
 
 

@@ -137,12 +137,12 @@ class FleetEnv(EnvBase):
         for slot in range(1 - self.frame_history, 0):
             physics = plant.advance(physics, rest, self._seed, device, episode, np.array([slot]))
             history.append(plant.scene(physics, self._seed, device, episode))
-        slot = np.zeros(count, np.int64)
-        observation = self._observed(physics, device, episode, slot)
+        first = np.zeros(count, np.int64)
+        observation = self._observed(physics, device, episode, first)
         observation |= {
             "scene": torch.from_numpy(np.stack(history, axis=1)),
             "episode": torch.from_numpy(episode),
-            "slot": torch.from_numpy(slot),
+            "slot": torch.from_numpy(first),
         }
         observation |= {key: torch.zeros(count, 1, dtype=torch.bool) for key in DONE_KEYS}
         return TensorDict(observation, batch_size=[count])

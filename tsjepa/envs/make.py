@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+from typing import Any
 
 import numpy as np
 import torch
@@ -162,7 +163,7 @@ def state_is_physics(plant: Plant) -> bool:
     return hasattr(plant, "stepper") and np.array_equal(plant.state(physics), physics)
 
 
-def _exact(plant: Plant, state: Tensor, action: Tensor) -> Tensor:
+def _exact(plant: Any, state: Tensor, action: Tensor) -> Tensor:
     """A state whose physics it is, one slot later without noise."""
     flat, force = state.reshape(-1, state.shape[-1]), action.reshape(-1, action.shape[-1])
     after = plant.stepper.advance(flat.double().numpy(), force.double().numpy())
@@ -199,7 +200,7 @@ def make_policy(
     length = 1 if radio.downlink is None else radio.downlink.buffer
     if length > 1 and held:
         raise ValueError(f"A buffer of {length} commands needs a controller that predicts; this one holds its last.")
-    predict = None if length == 1 else prediction(controller, plant)
+    predict: Callable = prediction(controller, plant) if length > 1 else lambda belief, action: belief
 
     @torch.no_grad()
     def act(tensordict: TensorDictBase) -> TensorDictBase:

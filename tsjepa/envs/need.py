@@ -78,7 +78,7 @@ def twin_of(far_end: nn.Module, plant: Plant, controller: str | Controller) -> T
     expert, model = next(iter(plant.experts().values())), controller if isinstance(controller, Controller) else None
     predicts = isinstance(far_end, Estimator)
     probe = None if model is None else getattr(model, "probe", None)
-    read = None if probe is None else at_weights(model, model.probe)
+    read = None if probe is None else at_weights(model, probe)
     unsaturated = getattr(expert, "unsaturated", None) if predicts else None
     if model is None:
         law = unsaturated or expert

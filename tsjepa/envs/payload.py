@@ -94,7 +94,9 @@ def update_codec(radio: Radio, spec: PlantSpec, model: Controller | None) -> nn.
     return state_codec(radio.codec, spec) if model is None else embedding_codec(radio.codec, model)
 
 
-def update_bits(radio: Radio, spec: PlantSpec, model: Controller | None, codec: nn.Module) -> int | None:
+def update_bits(
+    radio: Radio, spec: PlantSpec, model: Controller | None, codec: nn.Module
+) -> int | tuple[int, ...] | None:
     """Bits the scheduler reserves for an update; None where every device takes one block.
 
     Raises:
@@ -105,7 +107,7 @@ def update_bits(radio: Radio, spec: PlantSpec, model: Controller | None, codec: 
     return packet_bits(radio, spec, model, codec)
 
 
-def packet_bits(radio: Radio, spec: PlantSpec, model: Controller | None, codec: nn.Module) -> int:
+def packet_bits(radio: Radio, spec: PlantSpec, model: Controller | None, codec: nn.Module) -> int | tuple[int, ...]:
     """Bits of an update, as given or as the codec makes them.
 
     Raises:

@@ -135,7 +135,7 @@ def after_uplink(plant: Plant, num_devices: int, radio: Radio, seed: int) -> lis
     if radio.ack_loss:
         chain.append(Acknowledge(radio.ack_loss, outcome_keys(radio)[0], seed))
     if radio.delay is not None:
-        law = None if radio.delay == "trace" else radio.delay
+        law = None if isinstance(radio.delay, str) else radio.delay
         chain.append(Delay(law, radio.delay_horizon, plant.spec.slot, seed))
     if radio.energy is not None:
         target = None if radio.trace else dealt(radio.snr_target_db, num_devices)

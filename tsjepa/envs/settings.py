@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 from torch import Tensor
 
@@ -195,10 +196,10 @@ class Radio:
         units = (self.link or ShannonLink()).units(bits, snr)
         return units if self.harq_ms is None else (2 * units).clamp(max=2**31 - 1)
 
-    def decoding(self, bits: int | None) -> Decoding | AdaptedDecoding:
+    def decoding(self, bits: Any) -> Decoding | AdaptedDecoding:
         """When a packet of ``bits`` is decoded, as whoever schedules believes; only an MCS asks for the bits."""
         if not isinstance(self.link, McsLink):
-            thresholds = (float(db_to_linear(self.snr_threshold_db)),)
+            thresholds: tuple[float, ...] = (float(db_to_linear(self.snr_threshold_db)),)
         elif self.link.mcs is None:
             return AdaptedDecoding(self.link, bits)
         else:

@@ -24,7 +24,7 @@ def trace(
     slots: int = 500,
     slot_s: float = 0.02,
     seed: int = 0,
-) -> None:
+) -> dict:
     """Radio links: ``tsjepa trace import LOG TABLE.parquet``, ``simulate TABLE.csv``, ``draw TABLE PICTURE.png``.
 
     Args:
@@ -42,6 +42,9 @@ def trace(
         slots: how many are simulated, or played of what is drawn.
         slot_s: seconds per slot.
 
+    Returns:
+        Of an import the report, else what is said of the table.
+
     Raises:
         FileNotFoundError, ValueError: one sentence.
     """
@@ -52,8 +55,7 @@ def trace(
         needs = "a table alone" if action == "simulate" else "a file to read and one to write"
         raise ValueError(f"tsjepa trace {action} takes {needs}.")
     if action == "import":
-        import_trace(path, output, column, period_s)
-        return
+        return import_trace(path, output, column, period_s)
     if action == "simulate":
         Path(path).parent.mkdir(parents=True, exist_ok=True)
         write_trace(path, links(radio, num_devices, slots, slot_s, seed))
@@ -61,3 +63,4 @@ def trace(
     said = describe(table, slot_s, radio.trace_stretch, slots if action == "draw" else None)
     draw_trace(output or Path(path).with_suffix(".png"), table, said)
     print(said)
+    return {"describes": said}

@@ -1,4 +1,4 @@
-"""What travels: the layout of a datagram, in network byte order. docs/live.md shows it.
+"""What travels: the layout of a datagram, in network byte order. docs/how-to/live.md shows it.
 
 Every datagram starts with 32 bytes:
 

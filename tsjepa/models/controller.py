@@ -38,7 +38,6 @@ class Controller(nn.Module):
     card: str = ""
     entry_sha256: str | None = None
     plant: dict | None = None
-    kind: ClassVar[str]
     optional: ClassVar[tuple[str, ...]] = ("code_",)
     """Beginnings of tensors that an entry may lack, all or none of them; what needs them says so when it is used."""
 
@@ -47,6 +46,11 @@ class Controller(nn.Module):
         self.encoder, self.frame_spacing, self.spec = encoder, frame_spacing, spec
         self.register_buffer("code_low", torch.full((encoder.embedding_dim,), math.nan))
         self.register_buffer("code_high", torch.full((encoder.embedding_dim,), math.nan))
+
+    @property
+    def kind(self) -> str:
+        """What it is, in one word; subclasses say."""
+        raise NotImplementedError
 
     @property
     def frame_stack(self) -> int:
@@ -121,7 +125,7 @@ class Controller(nn.Module):
 
     def save_pretrained(self, folder: str | os.PathLike, dtype: str = "float32") -> Path:
         """Writes the model as an entry, in place of ``folder``; ``dtype`` as in :func:`tsjepa.models.entries.save`."""
-        return entries.save(self, folder, self.metrics, self.card, dtype)
+        return entries.save(self, Path(folder), self.metrics, self.card, dtype)
 
     def push_to_hub(
         self,

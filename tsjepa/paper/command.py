@@ -26,7 +26,7 @@ def figures(
     launcher: Literal["serial", "processes", "ray"] = "serial",
     workers: int | None = None,
     results: str = RESULTS,
-) -> None:
+) -> list[dict]:
     """Redraws figures from what is recorded; no sweep runs unless asked for.
 
     Args:
@@ -38,18 +38,23 @@ def figures(
         launcher: one point after the other, over processes, or over a Ray cluster (extra `ray`).
         workers: processes at a time, by default one a core.
         results: folder of the recorded results and the pictures; sweeps of two figures may fill it at once.
+
+    Returns:
+        Each figure with the number of its recorded points; with ``check``, the values that were repeated.
     """
     if settings is not None and figure is None:
         raise ValueError("settings belong to one figure: name it, as in --figure bits.")
     names = FIGURES if figure is None else (figure,)
     if check:
         return check_all(names, results, launcher)
+    drawn = []
     for name in names:
         module = module_of(name)
         if recompute:
             points = points_of(module, settings or recipe_settings(name))
             run_sweep(module, points, results, launcher, workers or os.cpu_count())
-        redraw(module, results)
+        drawn.append({"figure": name, "points": redraw(module, results)})
+    return drawn
 
 
 def recipe_settings(figure: str) -> dict:
@@ -72,21 +77,22 @@ def points_of(module: ModuleType, settings: dict) -> list[dict]:
     return module.points(**settings)
 
 
-def redraw(module: ModuleType, folder: str | Path) -> None:
-    """Draws one figure from its recorded results; one sentence where there are none."""
+def redraw(module: ModuleType, folder: str | Path) -> int:
+    """Draws one figure from its recorded results, whose number it returns; one sentence where there are none."""
     name = module.__name__.rpartition(".")[2]
     records = store.read(folder, name)
     if not records:
         print(f"{name}: nothing recorded yet; tsjepa figures --config recipes/figures/{name}.yaml --recompute true")
-        return
+        return 0
     path = Path(folder) / f"{name}.png"
     module.draw(records, path)
     print(f"{name}: {path}, from {len(records)} recorded points.")
+    return len(records)
 
 
-def check_all(names: tuple[str, ...], folder: str, launcher: str) -> None:
-    """Prints recorded and repeated values; RuntimeError where one left its interval."""
-    strays = []
+def check_all(names: tuple[str, ...], folder: str, launcher: str) -> list[dict]:
+    """Prints and returns recorded and repeated values; RuntimeError where one left its interval."""
+    strays, repeated = [], []
     for name in names:
         rows = check_figure(module_of(name), store.read(folder, name), launcher)
         if not rows:
@@ -96,6 +102,8 @@ def check_all(names: tuple[str, ...], folder: str, launcher: str) -> None:
                 f"{name:<20}{row['measure']:<18}recorded {row['recorded']:>10.4g} ± {row['interval_95']:<9.3g} now "
                 f"{row['now']:>10.4g}  {'agrees' if row['agrees'] else 'DIFFERS'}"
             )
+        repeated += [{"figure": name, **row} for row in rows]
         strays += [f"{name} ({row['measure']} at {row['point']})" for row in rows if not row["agrees"]]
     if strays:
         raise RuntimeError(f"These points left their recorded interval: {'; '.join(strays)}.")
+    return repeated

@@ -31,12 +31,15 @@ th { background: #f3f3f3; } img { max-width: 100%; } code { background: #f3f3f3;
 """
 
 
-def report(output: str = "docs", results: str = RESULTS) -> None:
+def report(output: str = "docs/results", results: str = RESULTS) -> dict[str, str]:
     """Writes report.md and report.html, which holds its pictures itself.
 
     Args:
         output: folder of the page.
         results: folder of the recorded results and their pictures.
+
+    Returns:
+        The verdict on every claim, by its name.
     """
     modules = {name: module_of(name) for name in FIGURES}
     records = {name: store.read(results, name) for name in FIGURES}
@@ -48,6 +51,7 @@ def report(output: str = "docs", results: str = RESULTS) -> None:
     write_text(folder / "report.md", markdown(modules, records, verdicts, os.path.relpath(results, folder)))
     write_text(folder / "report.html", page(modules, records, verdicts, Path(results)))
     print(f"{folder / 'report.md'} and {folder / 'report.html'}: {tally(verdicts)}")
+    return {name: verdict.verdict for name, verdict in verdicts.items()}
 
 
 def judged(modules: dict[str, ModuleType], records: dict[str, list[dict]]) -> dict[str, Verdict]:

@@ -21,7 +21,7 @@ NUDGE = 1e-3  # m or rad
 MARGIN = 1.1  # of what is seen around what has to be
 
 
-def named_view(model: mujoco.MjModel, camera: str | int, positions: Sequence[float] | None = None) -> View:
+def named_view(model: mujoco.MjModel, camera: str | int, positions: Sequence[float] | np.ndarray | None = None) -> View:
     """One of the model's own cameras, as it stands with the joints at ``positions``.
 
     Raises:
@@ -30,7 +30,7 @@ def named_view(model: mujoco.MjModel, camera: str | int, positions: Sequence[flo
     names = [model.camera(index).name for index in range(model.ncam)]
     if camera not in names and camera not in range(model.ncam):
         raise ValueError(f"There is no camera {camera!r}; the model has {', '.join(names) or 'none'}.")
-    index = names.index(camera) if camera in names else camera
+    index = names.index(camera) if camera in names else int(camera)
     position, quaternion = camera_pose(model, index, positions)
     return View(tuple(position.tolist()), float(model.cam_fovy[index]), orientation=tuple(quaternion.tolist()))
 
@@ -97,7 +97,7 @@ def auto_view(model: mujoco.MjModel, poses: np.ndarray, joints: Sequence[int], f
 
 def _share(seen: np.ndarray, motion: np.ndarray) -> float:
     """How much of a motion [points, 3] is in its projection [points, 2]."""
-    return float(np.linalg.norm(seen) / max(np.linalg.norm(motion), 1e-12))
+    return float(np.linalg.norm(seen) / max(float(np.linalg.norm(motion)), 1e-12))
 
 
 def _axes(pitch: float, yaw: float) -> np.ndarray:

@@ -145,7 +145,7 @@ class CartPole(MujocoPlant):
         ``searched law`` reaches the box sooner than both, with forces that cost four times as much
         (docs/results/experts.md).
         """
-        a, b = self.linear()
+        a, b = self.linearised()
         low, high = self.spec.action_low, self.spec.action_high
         experts = {
             "expert": ClippedLQR(lqr_gain(a, b, *EXPERT_WEIGHTS), 0.65, low, high),
@@ -164,4 +164,4 @@ class CartPole(MujocoPlant):
     def error_cost(self) -> tuple[Tensor, Tensor]:
         """P of the expert's weights, and the noise on the two velocities."""
         variances = torch.cat((torch.zeros(2), torch.tensor(self.process_noise_std.copy()) ** 2))
-        return lqr_value(*self.linear(), *EXPERT_WEIGHTS), torch.diag(variances)
+        return lqr_value(*self.linearised(), *EXPERT_WEIGHTS), torch.diag(variances)

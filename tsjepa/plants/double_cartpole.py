@@ -101,7 +101,7 @@ class DoubleCartPole(MujocoPlant):
         0.005), R = 1e-2, scores 0.97 of it on the true state, with half of its command for an error of the state: on a
         state that is read from pictures it does better, and no machine falls.
         """
-        a, b = self.linear()
+        a, b = self.linearised()
         low, high = self.spec.action_low, self.spec.action_high
         return {
             "expert": ClippedLQR(lqr_gain(a, b, (1.6, 1.0, 1.0, 0.005, 0.005, 0.005), 1e-2), 0.5, low, high),

@@ -53,7 +53,7 @@ class Gym(Plant):
         self.env_id, self.arguments, self.reward = env_id, dict(arguments or {}), tuple(reward)
         env = self._make()
         low, high = getattr(env.action_space, "low", None), getattr(env.action_space, "high", None)
-        if low is None or not np.isfinite([low, high]).all():
+        if low is None or high is None or not np.isfinite([low, high]).all():
             raise ValueError(f"{env_id} has the commands {env.action_space}; a plant needs numbers with limits.")
         fps = env.metadata.get("render_fps")
         if not (slot or fps):
@@ -64,7 +64,7 @@ class Gym(Plant):
             action_low=tuple(low.ravel().tolist()),
             action_high=tuple(high.ravel().tolist()),
             slot=slot or 1.0 / fps,
-            frame=tuple(frame),
+            frame=(frame[0], frame[1]),
             state_names=(*(f"observation_{index}" for index in range(count)), "score", "terminated"),
         )
         bounds = self.spec.action_low, self.spec.action_high
@@ -118,7 +118,8 @@ class Gym(Plant):
         return rows
 
     def _at(self, seed: int, device: int, physics: np.ndarray):
-        if not np.array_equal(self._last.get((seed, device)), physics):
+        last = self._last.get((seed, device))
+        if last is None or not np.array_equal(last, physics):
             raise ValueError(
                 f"{self.env_id} keeps its own state: a machine can only go on from where it is; start a new episode."
             )

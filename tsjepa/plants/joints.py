@@ -46,7 +46,7 @@ def actuator_names(model: mujoco.MjModel) -> list[str]:
 
 
 def camera_pose(
-    model: mujoco.MjModel, camera: int, positions: Sequence[float] | None = None
+    model: mujoco.MjModel, camera: int, positions: Sequence[float] | np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Where a camera is [3] and how it is turned [4] with the joints at ``positions``, by default the model's own."""
     data = mujoco.MjData(model)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import torch
@@ -110,7 +111,7 @@ class Mixed(Plant):
 
     def _by_kind(self, kind: np.ndarray, values: Callable[[Plant, np.ndarray], np.ndarray]) -> np.ndarray:
         """Rows [N, ...] that each kind computes for its own."""
-        result = None
+        result: Any = None
         for number, plant in enumerate(self.plants):
             rows = np.flatnonzero(kind == number)
             if len(rows):

@@ -82,7 +82,7 @@ class MuJoCo(MujocoPlant):
             action_low=tuple(float(low) for low, _ in action.values()),
             action_high=tuple(float(high) for _, high in action.values()),
             slot=slot,
-            frame=tuple(frame),
+            frame=(frame[0], frame[1]),
             state_names=tuple(coordinates.names),
             state_units=tuple(coordinates.units),
             state_scale=tuple(float(self.failure_limits.get(name, 1.0)) for name in coordinates.names),

@@ -46,7 +46,7 @@ class MujocoPlant(Plant):
         model: mujoco.MjModel,
         spec: PlantSpec,
         view: View,
-        start_half_widths: Sequence[float],
+        start_half_widths: Sequence[float] | np.ndarray,
         process_noise_std: float | Sequence[float] = 0.0,
         random_colors: bool = False,
     ) -> None:
@@ -116,6 +116,10 @@ class MujocoPlant(Plant):
         return self.renderer.metadata()
 
     def linear(self) -> tuple[Tensor, Tensor] | None:
+        """As :meth:`linearised`; None in a plant whose state has no linear model."""
+        return self.linearised()
+
+    def linearised(self) -> tuple[Tensor, Tensor]:
         """Central differences about zero, for machines whose state is their physics."""
         size, width = self.model.nq + self.model.nv, self.spec.action_dim
         steps = DIFFERENCE * np.eye(size + width)
@@ -170,12 +174,13 @@ def changing_goals(
         hold_slots: a set-point may change every this many slots.
         change_probability: chance that it does.
     """
-    low, high = torch.tensor(low), torch.tensor(high)
+    lowest, highest = torch.tensor(low), torch.tensor(high)
     holds = math.ceil(slots / hold_slots)
-    goals, held = [], torch.zeros(episodes, len(low))
+    goals, held = [], torch.zeros(episodes, len(lowest))
     for _ in range(holds):
         change = torch.rand(episodes, 1, generator=generator) < change_probability
-        held = torch.where(change, low + (high - low) * torch.rand(episodes, len(low), generator=generator), held)
+        drawn = lowest + (highest - lowest) * torch.rand(episodes, len(lowest), generator=generator)
+        held = torch.where(change, drawn, held)
         goals.append(held)
     return torch.stack(goals, 1).repeat_interleave(hold_slots, 1)[:, :slots]
 
@@ -187,7 +192,7 @@ def jumping_set_point(
     return step * np.sign(uniforms(seed, REFERENCE, device, episode, slot // hold_slots, 1) - 0.5)
 
 
-def _positive(name: str, value: float | Sequence[float], count: int) -> np.ndarray:
+def _positive(name: str, value: float | Sequence[float] | np.ndarray, count: int) -> np.ndarray:
     values = np.asarray(value, np.float64)
     if values.shape not in ((), (count,)) or not (np.isfinite(values) & (values >= 0)).all():
         raise ValueError(f"{name} must be one or {count} finite numbers that are not negative, got {value!r}.")

@@ -69,7 +69,7 @@ class Suite(MujocoPlant):
             action_low=tuple(commands.minimum.tolist()),
             action_high=tuple(commands.maximum.tolist()),
             slot=slot or self._environment.control_timestep(),
-            frame=tuple(frame),
+            frame=(frame[0], frame[1]),
             state_names=tuple(names),
             state_units=tuple(units),
             action_names=tuple(actuator_names(model)),

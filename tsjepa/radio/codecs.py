@@ -11,13 +11,14 @@ Vector codecs send a fixed number of bytes, so their packets are one uint8 tenso
 
 import math
 from collections.abc import Sequence
+from typing import TypeAlias
 
 import cv2
 import numpy as np
 import torch
 from torch import Tensor, nn
 
-Packets = Tensor | Sequence[bytes]
+Packets: TypeAlias = "Tensor | Sequence[bytes]"
 FRAME_CODECS = ("raw", "png", "jpeg", "webp")
 STREAM = "stream-"  # before the name of a codec: the newest frame of a stack travels alone, see tsjepa.radio.video
 
@@ -164,6 +165,10 @@ class ImageCodec(nn.Module):
         values = torch.empty((len(packets), *self.shape), dtype=torch.uint8)
         for value, packet in zip(values, packets, strict=True):
             picture = cv2.imdecode(np.frombuffer(packet, dtype=np.uint8), cv2.IMREAD_COLOR)
+            if picture is None:
+                raise ValueError("a packet holds no picture that OpenCV can decode")
+            if picture is None:
+                raise ValueError("a packet holds no picture that OpenCV can decode")
             value.copy_(torch.from_numpy(picture[..., ::-1].copy()).view(self.shape))
         return values
 

@@ -19,7 +19,8 @@ UNITS = ("slots", "ms")
 class DelayLaw(Protocol):
     """Delays of the packets sent in a slot, in ``unit``; the counters are int64 and broadcast, the result float64."""
 
-    unit: str
+    @property
+    def unit(self) -> str: ...
 
     def draw(self, seed: int, device: Tensor, episode: Tensor, slot: Tensor, stream: str = "delay") -> Tensor: ...
 

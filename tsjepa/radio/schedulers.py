@@ -166,7 +166,7 @@ def gated(scheduler: SchedulerFunction) -> SchedulerFunction:
     return gated_scheduler
 
 
-SCHEDULERS: dict[str, SchedulerFunction] = {
+SCHEDULERS: dict[str, Callable[..., tuple[Tensor, Tensor]]] = {
     f.__name__: f
     for f in (
         round_robin,

@@ -88,7 +88,7 @@ def simulate_ages(
             decodable = snr >= threshold
             if csi == "perfect":
                 known_snr, success, above = snr, decodable.to(snr.dtype), decodable
-            elif csi == "acks":
+            elif learner is not None:
                 learned, (known_snr, success, above) = learner.step(learned, mean_snr, snr, schedule, delivered)
             # no name for it: it would keep the age of the slot before alive, and with it the cache's lines
             schedule, memory = decide(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from typing import Any
 
 import numpy as np
 
@@ -22,26 +23,29 @@ def packet_log(name: str, rows: list[dict], sequence: str, notes: list[str]) -> 
     received_key = next((key for key in others if RECEIVED.fullmatch(key.rpartition(".")[2])), None)
     if sent_key is None and received_key is None:
         raise ValueError(f"{name} has sequence numbers and no time among {', '.join(rows[0])}.")
-    numbers, sent, received = [], [], []
+    numbers: list[int] = []
+    sent: list[int] = []
+    received: list[int] = []
     for row in rows:
-        values = [integer(row.get(key)) if key else 0 for key in (sequence, sent_key, received_key)]
+        values: list[Any] = [integer(row.get(key)) if key else 0 for key in (sequence, sent_key, received_key)]
         if None not in values:
-            numbers.append(values[0]), sent.append(values[1]), received.append(values[2])
+            for column, value in zip((numbers, sent, received), values, strict=True):
+                column.append(value)
     if not numbers:
         raise ValueError(f"{name} holds no packet with a number and a time.")
     if len(numbers) < len(rows):
         notes.append(f"{len(rows) - len(numbers)} rows have no number or time and are left out.")
-    numbers, first = np.unique(np.array(numbers, np.int64), return_index=True)
+    unique, first = np.unique(np.array(numbers, np.int64), return_index=True)
     if len(first) < len(sent):
         notes.append(f"{len(sent) - len(first)} packets were received twice; the first counts.")
-    span = int(numbers[-1] - numbers[0]) + 1
-    if span > 1000 * len(numbers) + 1000:
-        raise ValueError(f"the sequence numbers of {name} run over {span} for {len(numbers)} packets: are they such?")
+    span = int(unique[-1] - unique[0]) + 1
+    if span > 1000 * len(unique) + 1000:
+        raise ValueError(f"the sequence numbers of {name} run over {span} for {len(unique)} packets: are they such?")
     clocks = [as_seconds(np.array(times, np.int64)[first], 1.0) for times in (sent, received)]
     time = clocks[0] if sent_key else clocks[1]
-    steps = np.diff(numbers)
+    steps = np.diff(unique)
     period = float(np.median(np.diff(time) / steps)) if len(steps) else 1.0
-    place = numbers - numbers[0]
+    place = unique - unique[0]
     lost = np.ones(span)
     lost[place] = 0
     columns = {"lost": lost}
@@ -82,7 +86,7 @@ def _without_offset(delay: np.ndarray, period: float) -> list[str]:
     return [note]
 
 
-def integer(value: object) -> int | None:
+def integer(value: Any) -> int | None:
     """Stamps in nanoseconds do not fit a double, and some logs write them as words."""
     try:
         return int(value)

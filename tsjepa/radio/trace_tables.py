@@ -77,8 +77,8 @@ def table_log(table: Table, wanted: dict[str, str], name: str) -> Log:
             continue
         numbers, dashes = values[column]
         if column == "delay_ms":
-            bare, unit = split_unit(own)
-            unit = unit or bare.rpartition("_")[2]
+            bare, bracketed = split_unit(own)
+            unit = bracketed or bare.rpartition("_")[2]
             numbers = numbers * MILLISECONDS.get(unit.lower(), 1.0)
             if dashes.any() and "lost" not in chosen:
                 columns["lost"] = dashes.astype(float)[good]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -39,7 +40,7 @@ def ping_log(lines: list[str], period: float) -> Log:
     notes = [f"{twice} answers came twice; the first counts."] if twice else []
     if len(stamps) > 1:
         known = np.array(sorted(stamps))
-        time = np.interp(span, known, [stamps[int(number)] for number in known])
+        time: np.ndarray = np.interp(span, known, [stamps[int(number)] for number in known])
         period = float(np.median(np.diff(time)))
     else:
         time = span * period
@@ -48,7 +49,7 @@ def ping_log(lines: list[str], period: float) -> Log:
     return Log("ping", time - time[0], columns, period, [*notes, "The delays are round trips."])
 
 
-def iperf_log(intervals: list[tuple[float, float, float, float]]) -> Log:
+def iperf_log(intervals: Sequence[tuple[float, ...]]) -> Log:
     """Intervals of (start, end, lost, sent); the last line, which sums them up, is left out."""
     if len(intervals) > 1 and intervals[-1][1] - intervals[-1][0] > 1.5 * (intervals[0][1] - intervals[0][0]):
         intervals = intervals[:-1]

@@ -44,7 +44,7 @@ class UrgencyCode:
         code = torch.arange(last + 1, dtype=torch.float64)
         if self.law == "linear":
             return self.full_scale * code / last
-        if last == 1:
+        if last == 1 or self.smallest is None:
             return torch.tensor([0.0, self.full_scale], dtype=torch.float64)
         grown = self.smallest * (self.full_scale / self.smallest) ** ((code - 1) / (last - 1))
         return grown.masked_fill(code == 0, 0.0)

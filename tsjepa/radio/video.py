@@ -24,7 +24,8 @@ class FrameStream(nn.Module):
 
     def __init__(self, link: Stills | H264) -> None:
         super().__init__()
-        self.link, self.kept = link, None
+        self.link = link
+        self.kept: Tensor | None = None
 
     def encode(self, values: Tensor) -> list[bytes]:
         """One packet a device; the frames behind the newest travel in the first slot alone."""

@@ -10,6 +10,7 @@ import sys
 from datetime import datetime, timezone
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 from tsjepa.support.precision import LIMITS, cpu_flags, processor
 
@@ -47,7 +48,7 @@ def commit_of(folder: Path) -> str | None:
     return f"{commit}-dirty" if commit and changes else commit
 
 
-def code_hash(*others: object) -> str:
+def code_hash(*others: Any) -> str:
     """SHA-256 over this package's source files and those that define ``others``, functions and classes of the user's.
 
     Unlike a commit it also tells two states of a checkout apart that nobody has committed.

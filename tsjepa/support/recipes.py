@@ -9,9 +9,13 @@ import re
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from tsjepa.support.nearest import did_you_mean
 from tsjepa.support.trust import PACKAGES, TRUST
+
+if TYPE_CHECKING:
+    from jsonargparse import ArgumentParser
 
 PACKAGE = Path(__file__).parent.parent
 # Lines of jsonargparse's messages that name its types instead of the mistake.
@@ -19,6 +23,11 @@ _NOISE = re.compile(
     r"Does not validate against any of the Union|Subtypes: |Errors:$|Expected a <class 'NoneType'>"
     r"|Given value type: |Given value: (NestedArg|Namespace)"
 )
+# What jsonargparse says of an option or a key of a recipe that it does not know.
+_UNKNOWN = re.compile(
+    r"unrecognized arguments: --([\w.-]+)|does not accept option '([\w.]+)'|Option '([\w.]+)' is not accepted"
+)
+_UNKNOWN_OF_CLASS = re.compile(r"class_path '([\w.]+)': Option '(\w+)' is not accepted")
 _DENIED = re.compile(r"Importing '([\w.]+)' is not allowed, denied by .*?set_parsing_settings to allow it\.?")
 
 
@@ -50,10 +59,33 @@ def error_method(program: str) -> Callable:
         if not parser.exit_on_error:
             # the parser of one of several types that an option may have: the next one may fit
             raise argparse.ArgumentError(None, message) from cause
-        print(f"{program}: {one_sentence(message)} (options: {program} --help)", file=sys.stderr)
+        sentence = one_sentence(message)
+        print(f"{program}: {sentence}{_meant(sentence, parser)} (options: {program} --help)", file=sys.stderr)
         raise SystemExit(2)
 
     return error
+
+
+def _meant(sentence: str, parser: argparse.ArgumentParser) -> str:
+    """The nearest option to one that is not known, where ``sentence`` is about that."""
+    if of_class := _UNKNOWN_OF_CLASS.search(sentence):
+        module, _, name = of_class[1].rpartition(".")
+        kind = getattr(sys.modules.get(module), name, None)
+        return did_you_mean(of_class[2], inspect.signature(kind).parameters) if kind else ""
+    unknown = _UNKNOWN.search(sentence)
+    return did_you_mean(next(filter(None, unknown.groups())), option_names(parser)) if unknown else ""
+
+
+def option_names(parser: argparse.ArgumentParser) -> list[str]:
+    """The options of a parser and of its commands, without the dashes."""
+    commands = [
+        command
+        for action in parser._actions
+        if isinstance(action, argparse._SubParsersAction)
+        for command in action._name_parser_map.values()
+    ]
+    names = {name for each in (parser, *commands) for name in each._option_string_actions if name.startswith("--")}
+    return sorted(name.removeprefix("--") for name in names)
 
 
 def parse_arguments(function: Callable, options: Sequence[str], program: str, description: str = "") -> dict[str, Any]:
@@ -70,6 +102,14 @@ def parse_arguments(function: Callable, options: Sequence[str], program: str, de
     Raises:
         SystemExit: 2 when an option is wrong, after one sentence; 0 after ``--help``.
     """
+    parser = parser_of(function, program, description)
+    values = parser.instantiate(parser.parse_args(_name_words(find_recipes(options), function)))
+    del values["config"]
+    return dict(values)
+
+
+def parser_of(function: Callable, program: str, description: str = "") -> ArgumentParser:
+    """The parser whose options are the parameters of a typed function."""
     from jsonargparse import ArgumentParser
 
     class Parser(ArgumentParser):
@@ -78,9 +118,7 @@ def parse_arguments(function: Callable, options: Sequence[str], program: str, de
     parser = Parser(prog=program, description=description)
     parser.add_argument("-c", "--config", action="config", help="a YAML file with any of the options below")
     parser.add_function_arguments(function)
-    values = parser.instantiate(parser.parse_args(_name_words(find_recipes(options), function)))
-    del values["config"]
-    return dict(values)
+    return parser
 
 
 def _name_words(options: list[str], function: Callable) -> list[str]:

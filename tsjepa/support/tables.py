@@ -7,6 +7,7 @@ import json
 import re
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -115,7 +116,7 @@ def _read_parquet(path: Path, columns: Sequence[str] | None) -> Table:
         raise ValueError(f"{path.name} cannot be read ({_first_line(error)}).") from error
 
 
-def _arrow_column(pa: object, column: object) -> np.ndarray:
+def _arrow_column(pa: Any, column: Any) -> np.ndarray:
     kind = column.type
     if pa.types.is_list(kind) or pa.types.is_large_list(kind) or pa.types.is_fixed_size_list(kind):
         return _column(column.to_pylist())
@@ -170,7 +171,7 @@ def _column(cells: list) -> np.ndarray:
     return np.array(cells, dtype=object)
 
 
-def _number(cell: object) -> float | None:
+def _number(cell: Any) -> float | None:
     try:
         return float(cell)
     except (TypeError, ValueError, OverflowError):

@@ -6,15 +6,15 @@ import multiprocessing
 import os
 import threading
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, ThreadPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, ThreadPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from itertools import islice
 from queue import SimpleQueue
-from typing import Any, Literal
+from typing import Any, Final, Literal
 
 from tsjepa.support.checks import at_least
 
-RAY = "ray"
+RAY: Final = "ray"
 ATTEMPTS = 3  # at an item whose worker is killed
 QUEUED = 2  # items in flight per worker: the results of more would only fill the memory
 
@@ -39,11 +39,11 @@ def run_items(function: Callable[[Any], Any], items: Iterable[Any], workers: Wor
     if workers == RAY:
         yield from _over_ray(function, items)
         return
-    at_least(1, workers=workers)
+    at_least(1, workers=int(workers))
     if workers == 1:
         yield from ((index, function(item)) for index, item in enumerate(items))
     else:
-        yield from _over_processes(function, items, workers)
+        yield from _over_processes(function, items, int(workers))
 
 
 def _over_processes(function: Callable, items: Iterable, workers: int) -> Iterator[tuple[int, Any]]:
@@ -65,7 +65,7 @@ def _over_processes(function: Callable, items: Iterable, workers: int) -> Iterat
             idle.put(worker)
         raise RuntimeError(f"The workers of item {index} were killed {ATTEMPTS} times; is there enough memory?")
 
-    waiting, pending = enumerate(items), set()
+    waiting, pending = enumerate(items), set[Future]()
     threads = ThreadPoolExecutor(workers)
     try:
         while True:
@@ -90,8 +90,9 @@ def _die_with_parent() -> None:
     """A worker whose parent was killed would wait for items for ever."""
 
     def watch() -> None:
-        multiprocessing.parent_process().join()
-        os._exit(1)
+        if (parent := multiprocessing.parent_process()) is not None:
+            parent.join()
+            os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
 
@@ -104,7 +105,7 @@ def _over_ray(function: Callable, items: Iterable) -> Iterator[tuple[int, Any]]:
         ray.init(log_to_driver=False)
     remote = ray.remote(num_cpus=1, max_retries=ATTEMPTS - 1)(function)
     most = QUEUED * max(1, int(ray.cluster_resources().get("CPU", 1)))
-    waiting, pending = enumerate(items), {}
+    waiting, pending = enumerate(items), dict[Any, int]()
     while True:
         for index, item in islice(waiting, most - len(pending)):
             pending[remote.remote(item)] = index

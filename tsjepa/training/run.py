@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import torch
 import yaml
@@ -96,7 +96,9 @@ def equipment(root: Path, checkpoints: bool) -> list[Callback]:
     return [*every, ModelCheckpoint(dirpath=root / "checkpoints", **last)]
 
 
-def run_lightning(command: str, options: Sequence[str], program: str = "tsjepa", trusted: bool = False) -> None:
+def run_lightning(
+    command: str, options: Sequence[str], program: str = "tsjepa", trusted: bool = False
+) -> dict[str, Any]:
     """Runs one of Lightning's commands.
 
     Args:
@@ -104,6 +106,10 @@ def run_lightning(command: str, options: Sequence[str], program: str = "tsjepa",
         options: words of the command line, such as ``--config recipes/jepa.yaml``.
         program: named in errors.
         trusted: unpickle checkpoints.
+
+    Returns:
+        The last ``metrics`` by name and, of a fit, the folder of its ``model``, that of its ``data``, and whether the
+        model ``acts``. Nothing in the other processes of a parallel run.
 
     Raises:
         ValueError: the options ask for an unsafe read without ``--trust``.
@@ -177,7 +183,7 @@ def run_lightning(command: str, options: Sequence[str], program: str = "tsjepa",
     # Lightning warns when it is handed arguments while the process has its own.
     warnings.filterwarnings("ignore", message="LightningCLI's args parameter")
     with ExitStack() as stack:
-        CommandLine(
+        line = CommandLine(
             save_config_callback=SaveFitConfig,
             seed_everything_default=0,
             save_config_kwargs={"overwrite": True},
@@ -195,3 +201,17 @@ def run_lightning(command: str, options: Sequence[str], program: str = "tsjepa",
             parser_kwargs={"prog": program},
             args=[command, *find_recipes(options)],
         )
+    return result_of(command, line) if line.trainer.is_global_zero else {}
+
+
+def result_of(command: str, line: LightningCLI) -> dict[str, Any]:
+    """What :func:`run_lightning` returns."""
+    result: dict[str, Any] = {"metrics": {name: float(value) for name, value in line.trainer.callback_metrics.items()}}
+    if command == "fit":
+        trained = {id(parameter) for parameter in line.model.parameters()}
+        # a TS-JEPA's controller comes with an actor that is yet to be trained, and is none of the module's
+        actor = getattr(line.model.controller(), "actor", None)
+        result["acts"] = actor is None or all(id(parameter) in trained for parameter in actor.parameters())
+        result["model"] = str(Path(line.trainer.default_root_dir) / "model")
+        result["data"] = str(line.datamodule.path)
+    return result

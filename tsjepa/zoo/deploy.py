@@ -135,7 +135,7 @@ def save_program(graph: Graph, path: Path) -> None:
     torch.export.save(traced(graph), path)
 
 
-def deploy(model: str, folder: str, format: Literal["onnx", "torch_export"] = "onnx") -> None:
+def deploy(model: str, folder: str, format: Literal["onnx", "torch_export"] = "onnx") -> dict:
     """Writes ``model`` to ``folder`` as graphs, with int8 embeddings between device and controller.
 
     ``device`` turns frames into a payload, ``receive`` a payload into an embedding and a command, and ``predict`` the
@@ -146,6 +146,9 @@ def deploy(model: str, folder: str, format: Literal["onnx", "torch_export"] = "o
         model: name or folder of a zoo entry.
         folder: made, or replaced where it holds an earlier deployment.
         format: onnx, or programs of torch.export.
+
+    Returns:
+        ``folder`` and the names of its ``files``.
 
     Raises:
         FileExistsError: ``folder`` holds something else.
@@ -170,7 +173,9 @@ def deploy(model: str, folder: str, format: Literal["onnx", "torch_export"] = "o
             save(graph, partial / f"{name}.{SUFFIXES[format]}")
         (partial / DESCRIPTION).write_text(json.dumps(description(model, controller, parts), indent=2) + "\n")
         replace_folder(partial, target)
-    print(f"{model} deployed to {folder}: {', '.join(sorted(path.name for path in target.iterdir()))}.")
+    files = sorted(path.name for path in target.iterdir())
+    print(f"{model} deployed to {folder}: {', '.join(files)}.")
+    return {"folder": folder, "files": files}
 
 
 def description(name: str, model: Controller, parts: dict[str, Graph]) -> dict:

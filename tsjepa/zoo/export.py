@@ -21,7 +21,7 @@ def export(
     folder: str = "checkpoints",
     half: bool = False,
     trained_with: str = "",
-) -> None:
+) -> dict:
     """Writes ``folder/name``: the weights of a run, how they score, how they were trained, and a model card.
 
     Args:
@@ -32,6 +32,9 @@ def export(
         folder: of the zoo.
         half: store weights in 16 bits, if the scores stay within their intervals.
         trained_with: words about the training for the card and metrics.json.
+
+    Returns:
+        ``entry``, the folder.
     """
     if name in ("", "..") or Path(name).name != name:
         raise ValueError(f"{name!r} is no name of an entry: leave out folders, which --folder gives.")
@@ -48,6 +51,7 @@ def export(
         metrics["weights"]["scored_again"] = checked_in_half(model, name, metrics)
     entry = entries.save(model, Path(folder) / name, metrics, card(name, model, metrics), metrics["weights"]["dtype"])
     print(f"{name} written to {entry}.")
+    return {"entry": str(entry)}
 
 
 def model_folder(run: str) -> Path:

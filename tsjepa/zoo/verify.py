@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from statistics import fmean
 from typing import Literal
 
@@ -20,7 +20,7 @@ VERIFIED_SEEDS = 2
 NEEDED = ("seeds", "starts_per_seed", "slots", "frame_history", "optimal_policy", "codec", "blend")
 
 
-def zoo(action: Literal["list", "verify"] = "list", name: str | None = None, *, device: str = "cpu") -> None:
+def zoo(action: Literal["list", "verify"] = "list", name: str | None = None, *, device: str = "cpu") -> list[dict]:
     """Lists the pretrained models, or re-hashes them and closes their loops again on some of their card's starts.
 
     Args:
@@ -28,21 +28,27 @@ def zoo(action: Literal["list", "verify"] = "list", name: str | None = None, *, 
         name: of one entry, or its folder; all that are shipped by default.
         device: where the models compute while they are verified, such as cuda.
 
+    Returns:
+        What was printed, one dictionary a line.
+
     Raises:
         DamagedEntryError: a file is missing or has changed.
         ValueError: an entry scores outside the interval on its card.
     """
     chosen = names() if name is None else [name]
     if action == "list":
-        print(table([key_figures(entry) for entry in chosen]))
-        return
-    failed = []
+        figures = [key_figures(entry) for entry in chosen]
+        print(table(figures))
+        return figures
+    failed, scored = [], []
     for entry in chosen:
         checks = rescore(load_on(entry, device), entry)
         print(*(f"{entry}: {check}" for check in checks), sep="\n", flush=True)
+        scored += [{"entry": entry, **asdict(check)} for check in checks]
         failed += [entry] if not all(check.passed for check in checks) else []
     if failed:
         raise ValueError(f"Outside the interval of its card: {', '.join(failed)}; train or export it anew.")
+    return scored
 
 
 @dataclass(frozen=True)

@@ -40,7 +40,7 @@ class Channel(SlotTransform):
         seed: seed of all the channel's streams.
     """
 
-    carried = ("channel_episode", "channel_slot", "path_loss_db", "los")
+    carried: tuple[str, ...] = ("channel_episode", "channel_slot", "path_loss_db", "los")
 
     def __init__(
         self,

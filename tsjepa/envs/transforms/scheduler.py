@@ -1,6 +1,7 @@
 """Who transmits in this slot."""
 
 from collections.abc import Callable
+from typing import Any
 
 import torch
 from tensordict import TensorDictBase
@@ -61,7 +62,7 @@ class Scheduler(SlotTransform):
         loss: IidLoss | GilbertElliott | None = None,
         fading: str = "rayleigh",
         decoding: Decoding | AdaptedDecoding | None = None,
-        demand: Callable[[int, Tensor], Tensor] = resource_units,
+        demand: Callable[[Any, Tensor], Tensor] = resource_units,
         outcome_keys: tuple[str, str] = ("delivered", "age_of_information"),
         weight: Tensor | None = None,
     ):
@@ -77,8 +78,8 @@ class Scheduler(SlotTransform):
         self.budget = resource_blocks if payload_bits is None else (units or units_per_slot(sampling_interval))
         self.csi, self.weight = csi, weight
         self.snr_threshold = float(db_to_linear(snr_threshold_db))
-        decoding = self.snr_threshold if decoding is None else decoding
-        self.belief = make_belief(csi, decoding, csi_delay, loss, max_doppler_hz, sampling_interval, fading)
+        decided: Any = self.snr_threshold if decoding is None else decoding
+        self.belief = make_belief(csi, decided, csi_delay, loss, max_doppler_hz, sampling_interval, fading)
         self.demand, self.outcome_keys, self.previous_keys = demand, outcome_keys, outcome_keys
 
     def _specs(self, incoming: Composite) -> dict[str, TensorSpec]:

@@ -1,0 +1,47 @@
+"""What to do after a command that takes long."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+
+def next_step(command: str, values: dict[str, Any], result: Any) -> str | None:
+    """One line: what comes next and the command for it; None where nothing does.
+
+    Args:
+        command: that has ended well.
+        values: its arguments.
+        result: what it returned; nothing in the other processes of a parallel fit.
+    """
+    return STEPS[command](values, result) if result and command in STEPS else None
+
+
+def _after_fit(values: dict, result: dict) -> str:
+    model, data = result["model"], result["data"]
+    if result["acts"]:
+        return f"close the loop with it: tsjepa evaluate --model {model} --data {data}"
+    pretrained = f"--model.init_args.pretrained {model} --data.init_args.path {data}"
+    return f"train the actor on it: tsjepa fit --config recipes/actor.yaml {pretrained}"
+
+
+def _after_evaluate(values: dict, result: dict) -> str:
+    if "closed_loop" in result:
+        return f"put a fleet of them on one radio: tsjepa simulate --controller {values['model']}"
+    return f"bring it to a device: tsjepa deploy {values['model']} deployed"
+
+
+STEPS: dict[str, Callable[[dict, Any], str]] = {
+    "fit": _after_fit,
+    "collect": lambda values, path: f"train on it: tsjepa fit --config recipes/jepa.yaml --data.init_args.path {path}",
+    "import": lambda values, path: (
+        f"train on it: tsjepa fit --config recipes/jepa.yaml --data.init_args.path {path} --data.init_args.collect null"
+    ),
+    "evaluate": _after_evaluate,
+    "simulate": lambda values, result: (
+        "find how many each scheduler serves: tsjepa simulate --config recipes/fleet-search.yaml "
+        f"--controller {values['controller']}"
+    ),
+    "export": lambda values, result: f"score it again from its files: tsjepa zoo verify {result['entry']}",
+    "figures": lambda values, result: "set them beside the paper's claims: tsjepa report",
+}
