@@ -11,6 +11,10 @@ from tsjepa.radio.trace_log import Log, ordered
 
 PING = re.compile(r"icmp_seq[= ](\d+).*?time[=<]([\d.]+) ?ms")
 PING_LOST = re.compile(r"(?:no answer yet for|timeout for|Unreachable.*|unreachable.*|from .*) icmp_seq[= ](\d+)")
+REPLY = re.compile(
+    r"^\s*\S+ \S+ [\w.:]+: \S+=\d+ \S+[=<](\d+) ?ms TTL=\d+", re.IGNORECASE
+)  # of Windows, without numbers
+REPLY_LOST = re.compile(r"^\s*(Request timed out|.*: Destination .* unreachable|General failure)", re.IGNORECASE)
 STAMP = re.compile(r"^\[(\d+\.\d+)\]")
 SIGNAL = re.compile(r"signal(?: avg)?:\s*(-?\d+)")
 IPERF = re.compile(r"([\d.]+)-([\d.]+)\s+sec.*?(\d+)/\s*(\d+)\s+\(")
@@ -46,6 +50,20 @@ def ping_log(lines: list[str], period: float) -> Log:
         notes.append(f"The log has no times: {period:g} s from one ping to the next are taken.")
     columns = {"delay_ms": delay, "lost": np.isnan(delay).astype(float)}
     return Log("ping", time - time[0], columns, period, [*notes, "The delays are round trips."])
+
+
+def reply_log(lines: list[str], period: float) -> Log:
+    """What ping prints on Windows: answers without numbers, in their order; a request that timed out is lost."""
+    delay = []
+    for line in lines:
+        if match := REPLY.search(line):
+            delay.append(float(match[1]))
+        elif REPLY_LOST.search(line):
+            delay.append(np.nan)
+    delay = np.array(delay)
+    columns = {"delay_ms": delay, "lost": np.isnan(delay).astype(float)}
+    notes = [f"The log has no times: {period:g} s from one ping to the next are taken.", "The delays are round trips."]
+    return Log("ping", period * np.arange(len(delay)), columns, period, notes)
 
 
 def iperf_log(intervals: list[tuple[float, float, float, float]]) -> Log:
