@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import machines
 import numpy as np
 import pytest
 import scipy.linalg
 import torch
 from drive import run
+from recordings import WILD as WILD_FILES
 
 from tsjepa.plants import MuJoCo, build_plant, describe_plant
 from tsjepa.plants.equilibrium import balancing_gain
 
-WILD = Path(__file__).parents[3] / "shared" / "wild" / "models" / "two-wheeler" / "src" / "simulation"
+WILD = WILD_FILES / "models" / "two-wheeler" / "src" / "simulation"
 LIMITS = {
     "start": {"pole": 0.1, "arm": 0.3},
     "score": {"pole": 0.05, "arm": 0.1},

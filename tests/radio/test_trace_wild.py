@@ -15,7 +15,7 @@ parquet = pytest.importorskip("pyarrow.parquet")
 def test_every_file_of_the_vehicle_gives_delays_in_milliseconds(tmp_path):
     report = import_trace(str(wild("traces/vehicle-5g")), str(tmp_path / "vehicle.parquet"))
     devices = {entry["name"].rpartition("/")[2]: entry for entry in report["devices"]}
-    assert len(devices) == 5 and all(12 <= entry["delay_ms"]["median"] <= 32 for entry in devices.values())
+    assert len(devices) == 5 and all(16 <= entry["delay_ms"]["median"] <= 32 for entry in devices.values())
     assert max(entry["delay_ms"]["most"] for entry in devices.values()) == 1567
     assert devices["s2w_n78_v50_run02.txt"]["notes"] == [
         "s2w_n78_v50_run02.txt names 10 columns and has rows of 12 fields; the last 2 have no name and are left out."

@@ -28,7 +28,7 @@ class MuJoCo(MujocoPlant):
     joint is named as in ``spec.state_names``, such as ``base_ry``. Actuators that ``action`` does not name rest at 0.
 
     Args:
-        xml: path of the file that includes the others.
+        xml: path of the file that includes the others; one below ``recipes/`` is found where recipes are.
         slot: seconds between commands.
         action: lowest and highest command of each actuator that is used.
         state: joints, coordinates of joints, or sensors; all joints by default.

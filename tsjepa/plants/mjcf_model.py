@@ -11,6 +11,7 @@ import numpy as np
 
 from tsjepa.plants.joints import DISPLACEMENTS, RATES, actuator_names, joint_names, names_of
 from tsjepa.plants.stepping import MAX_TIMESTEP
+from tsjepa.support.recipes import find_recipe
 
 INTEGRATORS = {"Euler": "EULER", "RK4": "RK4", "implicit": "IMPLICIT", "implicitfast": "IMPLICITFAST"}
 NUDGE = 1e-6  # m, rad or per second
@@ -25,10 +26,11 @@ def load_model(
         FileNotFoundError: there is no such file.
         ValueError: MuJoCo cannot read it, or a name is not in it.
     """
-    if not Path(xml).is_file():
+    found = find_recipe(str(xml))
+    if not Path(found).is_file():
         raise FileNotFoundError(f"There is no model {xml}.")
     try:
-        spec = mujoco.MjSpec.from_file(str(xml))
+        spec = mujoco.MjSpec.from_file(found)
         spec.worldbody.add_camera(name="view")
         model = spec.compile()
     except ValueError as error:

@@ -10,19 +10,23 @@ import numpy as np
 
 from tsjepa.radio.trace_log import Log
 from tsjepa.radio.trace_packets import RECEIVED, SEQUENCE, integer, packet_log
-from tsjepa.radio.trace_tables import table_log, text_table
+from tsjepa.radio.trace_tables import COLUMNS, table_log, text_table
 from tsjepa.radio.trace_texts import (
     IPERF,
     PING,
+    REPLY,
     SIGNAL,
     iperf_json_log,
     iperf_log,
     opportunity_log,
     ping_log,
+    reply_log,
     signal_log,
 )
+from tsjepa.support.delimited import flat, kind, read_text
 from tsjepa.support.foreign import refuse_pointer
-from tsjepa.support.tables import as_seconds, read_table
+from tsjepa.support.stamps import as_seconds, split_unit
+from tsjepa.support.tables import Table, read_json_rows, read_table
 
 MOST_BYTES = 2 << 30  # of one log; they are read whole
 
@@ -41,26 +45,41 @@ def read_log(path: Path, columns: dict[str, str], period_s: float | None = None)
     refuse_pointer(path)
     if path.stat().st_size > MOST_BYTES:
         raise ValueError(f"{path.name} has {path.stat().st_size / 1e9:.1f} GB; cut it into smaller logs.")
-    if path.suffix == ".parquet":
+    if kind(path) == ".parquet":
         return table_log(read_table(path), columns, path.name)
-    text = path.read_text(encoding="utf-8", errors="replace")
+    text = read_text(path)
     lines = [line for line in text.splitlines() if line.strip()]
     if not lines:
         raise ValueError(f"{path.name} is empty.")
-    if text.lstrip().startswith("{"):
+    if re.match(r"\s*(\{|\[\s*\{)", text):  # ping and iperf3 begin with [, too
         return json_log(path, text, lines, columns)
     if any(PING.search(line) for line in lines[:50]):
         return ping_log(lines, period_s or 1.0)
+    if any(REPLY.search(line) for line in lines[:50]):
+        return reply_log(lines, period_s or 1.0)
     if any(IPERF.search(line) for line in lines):
         return iperf_log([tuple(map(float, match.groups())) for line in lines if (match := IPERF.search(line))])
-    if SIGNAL.search(text) and "SSID" in text:
+    if SIGNAL.search(text) and ("SSID" in text or "Station " in text):
         blocks = [block for block in re.split(r"(?=Connected to|Not connected|Station )", text) if block.strip()]
         if period_s is None and len(blocks) > 1:
             raise ValueError(f"{path.name} is `iw` text without times: say how far apart its blocks are (--period_s).")
         return signal_log(np.arange(len(blocks)) * (period_s or 1.0), blocks)
     if all(line.strip().isdigit() for line in lines):
         return opportunity_log(np.array([int(line) for line in lines]), period_s or 0.02)
-    return table_log(text_table(path, lines), columns, path.name)
+    table = text_table(path, lines)
+    log = packet_table(path.name, table) if not columns else None
+    return log or table_log(table, columns, path.name)
+
+
+def packet_table(name: str, table: Table) -> Log | None:
+    """The log of a table with sequence numbers and times and nothing else that tells of the link, or None."""
+    sequence = next((own for own in table if own.lower() in SEQUENCE), None)
+    known = [pattern for column, pattern in COLUMNS.items() if column != "time_s"]
+    if sequence is None or any(re.fullmatch("|".join(known), split_unit(own)[0], re.IGNORECASE) for own in table):
+        return None
+    cells = {own: column for own, column in table.items() if own != "extra fields"}
+    rows = [dict(zip(cells, row, strict=True)) for row in zip(*cells.values(), strict=True)]
+    return packet_log(name, rows, sequence, [])
 
 
 def json_log(path: Path, text: str, lines: list[str], columns: dict[str, str]) -> Log:
@@ -73,12 +92,24 @@ def json_log(path: Path, text: str, lines: list[str], columns: dict[str, str]) -
                 whole = json.loads(text)
             except ValueError:
                 raise ValueError(f"line {number} of {path.name} is no JSON.") from error
-            return iperf_json_log(path, whole)
+            if isinstance(whole, dict) and "intervals" in whole:
+                return iperf_json_log(path, whole)
+            return rows_log(path, read_json_rows(path), columns)
+        if isinstance(row, list) and len(lines) == 1:
+            return rows_log(path, read_json_rows(path), columns)
         if not isinstance(row, dict):
             raise ValueError(f"line {number} of {path.name} is no JSON object.")
-        rows.append(dict(_flat(row)))
-    if len(rows) == 1 and "intervals" in json.loads(lines[0]):
-        return iperf_json_log(path, json.loads(lines[0]))
+        rows.append(row)
+    if len(rows) == 1 and "intervals" in rows[0]:
+        return iperf_json_log(path, rows[0])
+    return rows_log(path, rows, columns)
+
+
+def rows_log(path: Path, rows: list[dict], columns: dict[str, str]) -> Log:
+    """The log of JSON objects, one a row."""
+    rows = [dict(flat(row)) for row in rows]
+    if not rows:
+        raise ValueError(f"{path.name} holds no row.")
     notes = _labels(path.stem, rows)
     texts = [key for key, value in rows[0].items() if isinstance(value, str) and SIGNAL.search(value)]
     if texts:
@@ -103,14 +134,6 @@ def json_log(path: Path, text: str, lines: list[str], columns: dict[str, str]) -
     log = table_log(cells, columns, path.name)
     log.notes += notes
     return log
-
-
-def _flat(row: dict, prefix: str = ""):
-    for key, value in row.items():
-        if isinstance(value, dict):
-            yield from _flat(value, f"{prefix}{key}.")
-        else:
-            yield prefix + key, value
 
 
 def _labels(stem: str, rows: list[dict]) -> list[str]:

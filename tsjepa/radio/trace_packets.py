@@ -3,56 +3,56 @@
 from __future__ import annotations
 
 import re
-from typing import Any
+from decimal import Decimal, InvalidOperation
 
 import numpy as np
 
 from tsjepa.radio.trace_log import Log
-from tsjepa.support.tables import as_seconds
+from tsjepa.support.stamps import SECONDS, since_1970, split_unit
 
 SEQUENCE = ("seqnum", "seq", "sequence", "seq_num", "sequence_number", "icmp_seq", "packet_id", "pkt_id")
-SENT = re.compile(r"(src|sent|send|tx)_?(timestamp|time|stamp|ts|ns)?(_(ns|us|ms|s))?$", re.IGNORECASE)
-RECEIVED = re.compile(r"((dst|recv|received|receive|rx)_?)?(timestamp|time|stamp|ts)?(_(ns|us|ms|s))?$", re.IGNORECASE)
+SENT = re.compile(r"(src|sent|send|tx|departure|dep)_?(timestamp|time|stamp|ts|ns)?(_(ns|us|ms|s))?$", re.IGNORECASE)
+RECEIVED = re.compile(
+    r"((dst|recv|received|receive|rx|arrival|arr)_?)?(timestamp|time|stamp|ts)?(_(ns|us|ms|s))?$", re.IGNORECASE
+)
 
 
 def packet_log(name: str, rows: list[dict], sequence: str, notes: list[str]) -> Log:
     """Received packets with sequence numbers: a number that is absent between the first and the last was lost."""
-    times = [key for key in rows[0] if key != sequence and integer(rows[0][key]) is not None]
-    sent_key = next((key for key in times if SENT.fullmatch(key.rpartition(".")[2])), None)
+    times = [key for key in rows[0] if key != sequence and decimal(rows[0][key]) is not None]
+    sent_key = next((key for key in times if SENT.fullmatch(_bare(key))), None)
     others = (key for key in times if key != sent_key)
-    received_key = next((key for key in others if RECEIVED.fullmatch(key.rpartition(".")[2])), None)
+    received_key = next((key for key in others if RECEIVED.fullmatch(_bare(key))), None)
     if sent_key is None and received_key is None:
         raise ValueError(f"{name} has sequence numbers and no time among {', '.join(rows[0])}.")
-    numbers: list[int] = []
-    sent: list[int] = []
-    received: list[int] = []
-    for row in rows:
-        values: list[Any] = [integer(row.get(key)) if key else 0 for key in (sequence, sent_key, received_key)]
-        if None not in values:
-            for column, value in zip((numbers, sent, received), values, strict=True):
-                column.append(value)
+    stamps = [nanoseconds([row.get(key) for row in rows], key) if key else [0] * len(rows)
+              for key in (sent_key, received_key)]  # fmt: skip
+    numbers, sent, received = [], [], []
+    for row, *moments in zip(rows, *stamps, strict=True):
+        number = integer(row.get(sequence))
+        if number is not None and None not in moments:
+            numbers.append(number), sent.append(moments[0]), received.append(moments[1])
     if not numbers:
         raise ValueError(f"{name} holds no packet with a number and a time.")
     if len(numbers) < len(rows):
         notes.append(f"{len(rows) - len(numbers)} rows have no number or time and are left out.")
-    unique, first = np.unique(np.array(numbers, np.int64), return_index=True)
+    numbers, first = np.unique(np.array(numbers, np.int64), return_index=True)
     if len(first) < len(sent):
         notes.append(f"{len(sent) - len(first)} packets were received twice; the first counts.")
-    span = int(unique[-1] - unique[0]) + 1
-    if span > 1000 * len(unique) + 1000:
-        raise ValueError(f"the sequence numbers of {name} run over {span} for {len(unique)} packets: are they such?")
-    clocks = [as_seconds(np.array(times, np.int64)[first], 1.0) for times in (sent, received)]
-    time = clocks[0] if sent_key else clocks[1]
-    steps = np.diff(unique)
+    span = int(numbers[-1] - numbers[0]) + 1
+    if span > 1000 * len(numbers) + 1000:
+        raise ValueError(f"the sequence numbers of {name} run over {span} for {len(numbers)} packets: are they such?")
+    sent, received = np.array(sent, np.int64)[first], np.array(received, np.int64)[first]
+    clock = sent if sent_key else received
+    time = (clock - clock[0]) * 1e-9
+    steps = np.diff(numbers)
     period = float(np.median(np.diff(time) / steps)) if len(steps) else 1.0
-    place = unique - unique[0]
+    place = numbers - numbers[0]
     lost = np.ones(span)
     lost[place] = 0
     columns = {"lost": lost}
     if sent_key and received_key:
-        delay = 1000 * (
-            np.array(received, np.int64)[first] - np.array(sent, np.int64)[first]
-        ) * _scale(sent[0], received[0], name)  # fmt: skip
+        delay = (received - sent) * 1e-6
         notes += _without_offset(delay, period)
         columns["delay_ms"] = np.full(span, np.nan)
         columns["delay_ms"][place] = delay
@@ -60,12 +60,23 @@ def packet_log(name: str, rows: list[dict], sequence: str, notes: list[str]) -> 
     return Log("packet log", on_grid - on_grid[0], columns, period, notes)
 
 
-def _scale(sent: int, received: int, name: str) -> float:
-    """Seconds in one tick of both stamps."""
-    digits = len(str(abs(sent)))
-    if digits != len(str(abs(received))):
-        raise ValueError(f"the sent and received times of {name} are not in the same unit.")
-    return {19: 1e-9, 16: 1e-6, 13: 1e-3}.get(digits, 1.0)
+def _bare(key: str) -> str:
+    """The last part of a nested name, without its unit in brackets."""
+    return split_unit(key.rpartition(".")[2])[0]
+
+
+def nanoseconds(cells: list, name: str) -> list[int | None]:
+    """Stamps as whole nanoseconds: those since 1970 tell their unit by size, others by their name, or are seconds."""
+    values = [decimal(cell) for cell in cells]
+    known = sorted(abs(value) for value in values if value is not None)
+    if not known:
+        return [None] * len(cells)
+    bare, unit = split_unit(name)
+    unit = unit or bare.rpartition("_")[2]
+    scale = since_1970(float(known[len(known) // 2])) or SECONDS.get(unit.lower(), 1.0)
+    ticks = Decimal(round(scale * 1e9))
+    stamps = [None if value is None else int(value * ticks) for value in values]
+    return [stamp if stamp is not None and abs(stamp) < 2**62 else None for stamp in stamps]
 
 
 def _without_offset(delay: np.ndarray, period: float) -> list[str]:
@@ -86,9 +97,18 @@ def _without_offset(delay: np.ndarray, period: float) -> list[str]:
     return [note]
 
 
-def integer(value: Any) -> int | None:
-    """Stamps in nanoseconds do not fit a double, and some logs write them as words."""
-    try:
-        return int(value)
-    except (TypeError, ValueError, OverflowError):
+def integer(value: object) -> int | None:
+    """A whole number, which some logs write as words."""
+    number = decimal(value)
+    return int(number) if number is not None and number == int(number) and abs(number) < 2**62 else None
+
+
+def decimal(value: object) -> Decimal | None:
+    """A number with all its digits: stamps in nanoseconds do not fit a double."""
+    if isinstance(value, bool) or value is None:
         return None
+    try:
+        number = Decimal(str(value).strip())
+    except InvalidOperation:
+        return None
+    return number if number.is_finite() and abs(number) < Decimal(10) ** 30 else None

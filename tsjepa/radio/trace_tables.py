@@ -8,28 +8,36 @@ from pathlib import Path
 import numpy as np
 
 from tsjepa.radio.trace_log import Log, ordered
-from tsjepa.support.tables import SECONDS, Table, as_seconds, split_unit
+from tsjepa.support.delimited import decimal_points, delimiter_of, without_comments
+from tsjepa.support.stamps import SECONDS, as_seconds, split_unit
+from tsjepa.support.tables import Table
 
 MILLISECONDS = {unit: 1000 * seconds for unit, seconds in SECONDS.items()}
 COLUMNS = {
-    "time_s": r"((pub|send|sent|tx|src)_?)?(time|timestamp|stamp|ts|t)(_?stamp)?|time_s",
-    "delay_ms": r"delay|rtt|latency|one_way_delay|owd|delay_ms|rtt_ms|latency_ms",
-    "rsrp_dbm": r"rsrp|rssi|signal|rsrp_dbm",
-    "sinr_db": r"sinr|snr|sinr_db|snr_db",
+    "time_s": (
+        r"((pub|send|sent|tx|src|elapsed|unix|epoch)_?)?(time|date_?time|timestamp|stamp|ts|t)(_?stamp)?|elapsed|epoch"
+    ),
+    "delay_ms": r"delay|rtt|latency|one_way_delay|owd|ping",
+    "rsrp_dbm": r"rsrp|rssi|signal",
+    "sinr_db": r"sinr|snr",
     "lost": r"lost|loss|dropped",
 }
+UNITS = {*SECONDS, "db", "dbm"}
 DASH = {"-", "--", "—", "*", "n/a", "N/A"}
 
 
 def text_table(path: Path, lines: list[str]) -> Table:
     """Words separated by commas, semicolons, tabs or blanks; extra fields without a name are left out and named."""
-    delimiter = next((mark for mark in ",;\t" if lines[0].count(mark)), None)
-    names = [name.strip() for name in lines[0].split(delimiter) if name.strip()]
+    lines = without_comments(lines)
+    delimiter = delimiter_of(lines[0])
+    if delimiter not in lines[0]:
+        delimiter = None
+    names = [name.strip().strip('"') for name in lines[0].split(delimiter) if name.strip()]
     if len(names) < 2 or len(lines) < 2 or len(set(names)) < len(names):
         raise ValueError(f"{path.name} is no log of a radio link that is known: its first line names no columns.")
-    rows = [[cell.strip() for cell in line.rstrip("\r\n").split(delimiter)] for line in lines[1:]]
+    rows = [[cell.strip().strip('"') for cell in line.rstrip("\r\n").split(delimiter)] for line in lines[1:]]
     full = sum(len(row) >= len(names) for row in rows)
-    numbers = sum(any(re.fullmatch(r"[-+]?[\d.]+(e[-+]?\d+)?", cell) for cell in row) for row in rows)
+    numbers = sum(any(re.fullmatch(r"[-+]?[\d.,]+(e[-+]?\d+)?", cell) for cell in row) for row in rows)
     if (delimiter is None and full < 0.9 * len(rows)) or not numbers:
         raise ValueError(f"{path.name} is no log of a radio link that is known: its lines are no rows of a table.")
     widths = {len([cell for cell in row[len(names) :] if cell]) for row in rows}
@@ -53,7 +61,7 @@ def table_log(table: Table, wanted: dict[str, str], name: str) -> Log:
         if column in wanted and wanted[column] not in table:
             raise ValueError(f"{name} has no column {wanted[column]}; it has {', '.join(table)}.")
         match = wanted.get(column) or next(
-            (own for own in table if re.fullmatch(pattern, split_unit(own)[0], re.IGNORECASE)), None
+            (own for own in table if re.fullmatch(pattern, name_and_unit(own)[0], re.IGNORECASE)), None
         )
         if match is not None:
             chosen[column] = match
@@ -64,8 +72,14 @@ def table_log(table: Table, wanted: dict[str, str], name: str) -> Log:
             f"no column of {name} is a delay, a signal or a loss among {', '.join(table)}: say --column delay_ms=NAME."
         )
     values = {column: _cells(table[own], own, notes) for column, own in chosen.items()}
-    unit = split_unit(chosen["time_s"])[1] or "s"
-    time = as_seconds(values["time_s"][0], SECONDS.get(unit.lower(), 1.0))
+    unit = name_and_unit(chosen["time_s"])[1] or "s"
+    stamps = values["time_s"][0]
+    if not np.isfinite(stamps.astype(float)).any() and len(stamps):
+        stamps = table[chosen["time_s"]]  # dates
+    try:
+        time = as_seconds(stamps, SECONDS.get(unit.lower(), 1.0))
+    except ValueError as error:
+        raise ValueError(f"{name} holds no row with a time.") from error
     good = np.isfinite(time)
     if not good.any():
         raise ValueError(f"{name} holds no row with a time.")
@@ -77,9 +91,7 @@ def table_log(table: Table, wanted: dict[str, str], name: str) -> Log:
             continue
         numbers, dashes = values[column]
         if column == "delay_ms":
-            bare, bracketed = split_unit(own)
-            unit = bracketed or bare.rpartition("_")[2]
-            numbers = numbers * MILLISECONDS.get(unit.lower(), 1.0)
+            numbers = numbers * MILLISECONDS.get((name_and_unit(own)[1] or "ms").lower(), 1.0)
             if dashes.any() and "lost" not in chosen:
                 columns["lost"] = dashes.astype(float)[good]
                 notes.append(f"{int(dashes.sum())} delays are a dash: they count as lost.")
@@ -92,12 +104,22 @@ def table_log(table: Table, wanted: dict[str, str], name: str) -> Log:
     return ordered("table", time[good], columns, notes)
 
 
+def name_and_unit(column: str) -> tuple[str, str | None]:
+    """``"delay (us)"`` and ``"delay_us"`` as ("delay", "us")."""
+    bare, unit = split_unit(column)
+    head, _, tail = bare.rpartition("_")
+    return (head, tail) if unit is None and head and tail.lower() in UNITS else (bare, unit)
+
+
 def _cells(cells: np.ndarray, name: str, notes: list[str]) -> tuple[np.ndarray, np.ndarray]:
     """Numbers (NaN where there is none) and where a dash stands; missing, zero and dash are counted apart."""
     if cells.dtype != object:
         return cells, np.zeros(len(cells), bool)
     words = [str(cell).strip() if cell is not None else "" for cell in cells]
     dashes = np.array([word in DASH for word in words])
+    if dashes.sum() < len(words):
+        words = decimal_points([None if dash else word for word, dash in zip(words, dashes, strict=True)])
+        words = ["-" if word is None else word for word in words]
     if all(word.lstrip("-").isdigit() for word in words):
         return np.array([int(word) for word in words]), dashes
     numbers = np.full(len(words), np.nan)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +11,10 @@ from tsjepa.radio.trace_log import Log, ordered
 
 PING = re.compile(r"icmp_seq[= ](\d+).*?time[=<]([\d.]+) ?ms")
 PING_LOST = re.compile(r"(?:no answer yet for|timeout for|Unreachable.*|unreachable.*|from .*) icmp_seq[= ](\d+)")
+REPLY = re.compile(
+    r"^\s*\S+ \S+ [\w.:]+: \S+=\d+ \S+[=<](\d+) ?ms TTL=\d+", re.IGNORECASE
+)  # of Windows, without numbers
+REPLY_LOST = re.compile(r"^\s*(Request timed out|.*: Destination .* unreachable|General failure)", re.IGNORECASE)
 STAMP = re.compile(r"^\[(\d+\.\d+)\]")
 SIGNAL = re.compile(r"signal(?: avg)?:\s*(-?\d+)")
 IPERF = re.compile(r"([\d.]+)-([\d.]+)\s+sec.*?(\d+)/\s*(\d+)\s+\(")
@@ -40,7 +43,7 @@ def ping_log(lines: list[str], period: float) -> Log:
     notes = [f"{twice} answers came twice; the first counts."] if twice else []
     if len(stamps) > 1:
         known = np.array(sorted(stamps))
-        time: np.ndarray = np.interp(span, known, [stamps[int(number)] for number in known])
+        time = np.interp(span, known, [stamps[int(number)] for number in known])
         period = float(np.median(np.diff(time)))
     else:
         time = span * period
@@ -49,7 +52,21 @@ def ping_log(lines: list[str], period: float) -> Log:
     return Log("ping", time - time[0], columns, period, [*notes, "The delays are round trips."])
 
 
-def iperf_log(intervals: Sequence[tuple[float, ...]]) -> Log:
+def reply_log(lines: list[str], period: float) -> Log:
+    """What ping prints on Windows: answers without numbers, in their order; a request that timed out is lost."""
+    delay = []
+    for line in lines:
+        if match := REPLY.search(line):
+            delay.append(float(match[1]))
+        elif REPLY_LOST.search(line):
+            delay.append(np.nan)
+    delay = np.array(delay)
+    columns = {"delay_ms": delay, "lost": np.isnan(delay).astype(float)}
+    notes = [f"The log has no times: {period:g} s from one ping to the next are taken.", "The delays are round trips."]
+    return Log("ping", period * np.arange(len(delay)), columns, period, notes)
+
+
+def iperf_log(intervals: list[tuple[float, float, float, float]]) -> Log:
     """Intervals of (start, end, lost, sent); the last line, which sums them up, is left out."""
     if len(intervals) > 1 and intervals[-1][1] - intervals[-1][0] > 1.5 * (intervals[0][1] - intervals[0][0]):
         intervals = intervals[:-1]

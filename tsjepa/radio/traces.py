@@ -70,7 +70,7 @@ def read_trace(path: str | Path) -> Trace:
     for name in ("time_s", *found):
         if table[name].ndim != 1 or table[name].dtype == object:
             raise ValueError(f"{path}: the column {name} does not hold a number in each row")
-    time, *columns = (torch.from_numpy(np.asarray(table[name], dtype=np.float64)) for name in ("time_s", *found))
+    time, *columns = (torch.from_numpy(np.array(table[name], dtype=np.float64)) for name in ("time_s", *found))
     if bool(time.isnan().any()):
         raise ValueError(f"{path}: row {int(time.isnan().nonzero()[0]) + 1} has no time")
     labels = [_label(cell) for cell in table["device"]] if "device" in table else ["0"] * len(time)

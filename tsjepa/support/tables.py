@@ -1,23 +1,21 @@
-"""Tables of rows: CSV, Parquet and JSON lines, as columns of numbers."""
+"""Tables of rows: CSV, Parquet and JSON, as columns of numbers."""
 
 from __future__ import annotations
 
-import csv
 import json
-import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from tsjepa.support.delimited import as_columns, decimal_points, kind, read_text, split_rows
 from tsjepa.support.foreign import optional, refuse_pointer
 
-SUFFIXES = (".csv", ".tsv", ".parquet", ".jsonl", ".json")
+JSON_SUFFIXES = (".jsonl", ".ndjson", ".json")
+SUFFIXES = (".csv", ".tsv", ".parquet", *JSON_SUFFIXES)
 MOST_ROWS = 50_000_000  # of one file; a Parquet footer may claim any number
 
-SECONDS = {"ns": 1e-9, "us": 1e-6, "ms": 1e-3, "s": 1.0, "sec": 1.0, "seconds": 1.0}
-TIME = re.compile(r"^_?(time|timestamp|stamp|t|datetime|elapsed)$", re.IGNORECASE)
 Table = dict[str, np.ndarray]
 
 
@@ -30,12 +28,10 @@ def read_table(path: Path, columns: Sequence[str] | None = None) -> Table:
         ValueError: it is no such table, or one of ``columns`` is missing.
     """
     refuse_pointer(path)
-    if path.suffix == ".parquet":
+    if kind(path) == ".parquet":
         table = _read_parquet(path, columns)
-    elif path.suffix in (".jsonl", ".json"):
-        rows = read_json_lines(path)
-        names = dict.fromkeys(name for row in rows for name in row)
-        table = {name: _column([row.get(name) for row in rows]) for name in names}
+    elif kind(path) in JSON_SUFFIXES:
+        table = {name: _column(cells) for name, cells in as_columns(read_json_rows(path)).items()}
     else:
         table = _read_csv(path)
     if columns is not None:
@@ -46,6 +42,28 @@ def read_table(path: Path, columns: Sequence[str] | None = None) -> Table:
     return table
 
 
+def read_json_rows(path: Path) -> list[dict]:
+    """One object a line, a list of objects, or one object of equally long lists.
+
+    Raises:
+        ValueError: it is none of these.
+    """
+    refuse_pointer(path)
+    try:
+        whole = json.loads(read_text(path))
+    except (ValueError, RecursionError):
+        return read_json_lines(path)
+    if isinstance(whole, list) and all(isinstance(row, dict) for row in whole):
+        return whole
+    if isinstance(whole, dict):
+        lists = [value for value in whole.values() if isinstance(value, list)]
+        if len(lists) == 1 and lists[0] and all(isinstance(row, dict) for row in lists[0]):
+            return lists[0]
+        if lists and len(lists) == len(whole) and len({len(value) for value in lists}) == 1:
+            return [dict(zip(whole, cells, strict=True)) for cells in zip(*lists, strict=True)]
+    return read_json_lines(path)
+
+
 def read_json_lines(path: Path) -> list[dict]:
     """One object a line.
 
@@ -54,17 +72,16 @@ def read_json_lines(path: Path) -> list[dict]:
     """
     refuse_pointer(path)
     rows = []
-    with path.open(encoding="utf-8", errors="replace") as file:
-        for number, line in enumerate(file, 1):
-            if not line.strip():
-                continue
-            try:
-                row = json.loads(line)
-            except ValueError as error:
-                raise ValueError(f"line {number} of {path.name} is no JSON.") from error
-            if not isinstance(row, dict):
-                raise ValueError(f"line {number} of {path.name} is no JSON object.")
-            rows.append(row)
+    for number, line in enumerate(read_text(path).split("\n"), 1):
+        if not line.strip():
+            continue
+        try:
+            row = json.loads(line)
+        except (ValueError, RecursionError) as error:
+            raise ValueError(f"line {number} of {path.name} is no JSON.") from error
+        if not isinstance(row, dict):
+            raise ValueError(f"line {number} of {path.name} is no JSON object.")
+        rows.append(row)
     return rows
 
 
@@ -131,22 +148,22 @@ def _arrow_column(pa: Any, column: Any) -> np.ndarray:
 
 
 def _read_csv(path: Path) -> Table:
-    with path.open(newline="", encoding="utf-8-sig", errors="replace") as file:
-        sample = file.read(65536)
-        file.seek(0)
-        first = sample.split("\n", 1)[0]
-        delimiter = max(",;\t", key=first.count)
-        rows = csv.reader(file, delimiter=delimiter)
-        names = [name.strip() for name in next(rows, [])]
-        if not names or not any(names):
-            raise ValueError(f"{path.name} is empty.")
-        if len(set(names)) < len(names):
-            raise ValueError(f"{path.name} has two columns of the same name.")
-        cells = [row for row in rows if any(cell.strip() for cell in row)]
+    names, *cells = split_rows(read_text(path)) or [[]]
+    names = [name.strip() for name in names]
+    while names and not names[-1]:  # a mark at the end of every line
+        names.pop()
+    if not names:
+        raise ValueError(f"{path.name} is empty.")
+    if not names[0] and "index" not in names:  # as pandas writes its index
+        names[0] = "index"
+    if len(set(names)) < len(names):
+        raise ValueError(f"{path.name} has two columns of the same name.")
     for number, row in enumerate(cells, 2):
         if len(row) < len(names) or any(cell.strip() for cell in row[len(names) :]):
             raise ValueError(f"{path.name} names {len(names)} columns and line {number} has {len(row)} cells.")
-    return {name: _column([row[place].strip() or None for row in cells]) for place, name in enumerate(names)}
+    return {
+        name: _column(decimal_points([row[place].strip() or None for row in cells])) for place, name in enumerate(names)
+    }
 
 
 def _column(cells: list) -> np.ndarray:
@@ -180,62 +197,3 @@ def _number(cell: Any) -> float | None:
 
 def _first_line(error: BaseException) -> str:
     return (str(error).splitlines() or [type(error).__name__])[0].rstrip(".")
-
-
-def time_column(table: Table, wanted: str | None = None) -> tuple[str, np.ndarray] | None:
-    """Name and seconds of the column of times; None where there is none.
-
-    Raises:
-        ValueError: the wanted one is missing or holds no numbers.
-    """
-    if wanted is not None:
-        if wanted not in table:
-            raise ValueError(f"there is no column {wanted}; there are {', '.join(table)}.")
-        return wanted, as_seconds(table[wanted], time_scale(wanted) or 1.0)
-    for name, column in table.items():
-        scale = time_scale(name)
-        if scale is not None and column.ndim == 1:
-            try:
-                return name, as_seconds(column, scale)
-            except ValueError:
-                continue
-    return None
-
-
-def as_seconds(stamps: np.ndarray, scale: float) -> np.ndarray:
-    """Seconds; the scale of stamps since 1970 is told by their size, whatever the column is called; dates are read."""
-    if stamps.dtype == object:
-        try:
-            stamps = np.array([str(stamp).replace(" ", "T").rstrip("Z") for stamp in stamps], dtype="datetime64[ns]")
-        except ValueError as error:
-            raise ValueError("a column of times holds words instead of numbers or dates.") from error
-        stamps = stamps.astype(np.int64)
-    typical = np.nanmedian(np.abs(stamps)) if np.isfinite(stamps.astype(float)).any() else 0
-    for least, of_epoch in ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3)):
-        if typical >= least:
-            scale = of_epoch
-            break
-    if stamps.dtype.kind == "i" and len(stamps):
-        return (stamps - stamps[0]) * scale + float(stamps[0]) * scale
-    return stamps.astype(float) * scale
-
-
-def time_scale(name: str) -> float | None:
-    """Seconds in one unit of a time column, from its name (``t_ms``, ``stamp(ns)``, ``time``); None: not a time.
-
-    A name without a unit counts in seconds.
-    """
-    bare, unit = split_unit(name)
-    if unit is None:
-        head, _, tail = bare.rpartition("_")
-        if head and tail.lower() in SECONDS:
-            bare, unit = head, tail
-    if not TIME.match(bare):
-        return None
-    return SECONDS.get((unit or "s").lower())
-
-
-def split_unit(name: str) -> tuple[str, str | None]:
-    """``"delay(ms)"`` or ``"delay [ms]"`` as ("delay", "ms"); ("delay", None) without brackets."""
-    match = re.fullmatch(r"\s*(.*?)\s*[(\[]\s*([^)\]]*?)\s*[)\]]\s*", name)
-    return (match[1], match[2] or None) if match else (name.strip(), None)

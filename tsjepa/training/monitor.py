@@ -35,6 +35,25 @@ def action_sensitivity(predictor: nn.Module, embedding: Tensor, spec: PlantSpec)
     return F.cosine_similarity(low, high, dim=-1).mean()
 
 
+def prediction_errors(predictor: nn.Module, embedding: Tensor, action: Tensor, longest: int) -> tuple[Tensor, Tensor]:
+    """Mean cosine distance of the predicted and of the copied embedding to the true one, each [episodes, longest].
+
+    Args:
+        embedding: [episodes, slots, d].
+        action: [episodes, slots, m].
+        longest: horizon in slots, less than the slots.
+    """
+    starts = range(0, embedding.shape[1] - longest, 10)
+    origin = torch.stack([embedding[:, start] for start in starts])
+    commands = torch.stack([action[:, start : start + longest] for start in starts])
+    truth = torch.stack([embedding[:, start + 1 : start + longest + 1] for start in starts])
+    predicted = rollout(predictor, origin, commands)
+    return (
+        1 - F.cosine_similarity(predicted, truth, dim=-1).mean(0),
+        1 - F.cosine_similarity(origin[..., None, :], truth, dim=-1).mean(0),
+    )
+
+
 def prediction_skill(
     predictor: nn.Module, embedding: Tensor, action: Tensor, horizons: tuple[int, ...]
 ) -> dict[int, Tensor]:
@@ -46,14 +65,7 @@ def prediction_skill(
         horizons: in slots; those longer than the trajectories are left out.
     """
     horizons = tuple(horizon for horizon in horizons if horizon < embedding.shape[1])
-    longest = max(horizons)
-    starts = range(0, embedding.shape[1] - longest, 10)
-    origin = torch.stack([embedding[:, start] for start in starts])
-    commands = torch.stack([action[:, start : start + longest] for start in starts])
-    truth = torch.stack([embedding[:, start + 1 : start + longest + 1] for start in starts])
-    predicted = rollout(predictor, origin, commands)
-    error = 1 - F.cosine_similarity(predicted, truth, dim=-1).mean((0, 1))
-    copied = 1 - F.cosine_similarity(origin[..., None, :], truth, dim=-1).mean((0, 1))
+    error, copied = (part.mean(0) for part in prediction_errors(predictor, embedding, action, max(horizons)))
     return {horizon: 1 - error[horizon - 1] / copied[horizon - 1] for horizon in horizons}
 
 

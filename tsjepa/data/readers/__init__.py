@@ -7,7 +7,9 @@ import os
 from pathlib import Path
 
 from tsjepa.data.readers.episode import Episode, Frames, Recording, Skipped, Streams
+from tsjepa.support.delimited import kind
 from tsjepa.support.foreign import reason
+from tsjepa.support.tables import SUFFIXES
 
 # In the order in which a folder is tried: a folder of videos looks like the least.
 READERS = (
@@ -87,13 +89,18 @@ def find_recording(path: Path) -> tuple[Path, type[Recording]]:
         return below[0]
     if loose.matches(path):
         return path, loose
-    below = [(folder, loose) for folder in _folders(path) if loose.matches(folder)][:1]
-    if below:
-        return below[0]
+    for folder in _folders(path):
+        if loose.matches(folder):
+            return path if _has_table(path) else folder, loose
     raise UnknownFormat(
         f"{path} is no recording that is known: it is neither a LeRobot data set, a Donkeycar tub, a ROS bag, an HDF5 "
         "or npz file, nor a folder of videos or pictures with a table of commands."
     )
+
+
+def _has_table(path: Path) -> bool:
+    """Whether a table lies in the folder itself, so that pictures further below belong to it."""
+    return any(kind(file) in SUFFIXES for file in path.iterdir() if file.is_file())
 
 
 def _folders(path: Path) -> list[Path]:

@@ -10,8 +10,8 @@ import numpy as np
 
 from tsjepa.data.readers.episode import Episode, Skipped, Streams, attempt
 from tsjepa.data.readers.names import units_of
-from tsjepa.data.readers.pictures import ArrayPictures, CodedPictures
-from tsjepa.support.tables import as_seconds
+from tsjepa.data.readers.pictures import CHANNELS, ArrayPictures, CodedPictures
+from tsjepa.support.stamps import as_seconds
 
 PICTURES = re.compile(r"(^|/)(pixels|images?|rgb|frames?|video)\d*($|/)|(image|rgb|pixels|cam\w*)\d*$", re.IGNORECASE)
 ACTION = ("action", "actions", "command", "commands", "control", "u")
@@ -72,7 +72,9 @@ class ArrayRecording:
         if not action_keys:
             raise ValueError(f"it has no commands among {listed}: name the array of commands (--action).")
         state_keys = self.streams.state or [key for key in STATE if shapes.get(key)][:1]
-        time_key = self.streams.time or next((key for key in TIME if len(shapes.get(key, ())) == 1), None)
+        time_key = self.streams.time or next(
+            (key for key in TIME if shapes.get(key) and shapes[key][1:] in ((), (1,))), None
+        )
         if len(self.cameras) > 1 and self.streams.camera is None:
             note = f"It has the cameras {', '.join(self.cameras)}; the first is taken."
             self.notes += [note] if note not in self.notes else []
@@ -84,7 +86,9 @@ class ArrayRecording:
     @staticmethod
     def _is_pictures(key: str, array: object) -> bool:
         if len(array.shape) == 4:
-            return bool({1, 3} & {array.shape[1], array.shape[3]}) and array.dtype.kind in "uf"
+            return bool({*CHANNELS} & {array.shape[1], array.shape[3]}) and array.dtype.kind in "uf"
+        if len(array.shape) == 3:
+            return array.dtype == np.uint8 and bool(PICTURES.search(key))
         coded = len(array.shape) in (1, 2) and (array.dtype == np.uint8 or array.dtype.hasobject)
         return coded and bool(PICTURES.search(key))
 
@@ -112,11 +116,11 @@ class ArrayRecording:
     def _episode(self, label, arrays, camera, action_keys, state_keys, time_key, first, last, whole) -> Episode:
         action_names, action = self._values(arrays, action_keys, first, last)
         state_names, state = self._values(arrays, state_keys, first, last)
-        times = as_seconds(np.asarray(arrays[time_key][first:last]), 1.0) if time_key else None
+        times = as_seconds(np.asarray(arrays[time_key][first:last]).ravel(), 1.0) if time_key else None
         pictures = arrays[camera]
         # N + 1 pictures with N commands: only where the file holds one episode can the last picture be told
         count = len(pictures) if whole else last - first
-        if len(pictures.shape) == 4 or pictures.dtype.kind == "f":
+        if len(pictures.shape) >= 3 or pictures.dtype.kind == "f":
             frames = ArrayPictures(pictures, first, count)
         else:
             frames = CodedPictures(

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tsjepa.data.readers.arrays import ArrayRecording
+from tsjepa.data.readers.arrays import ACTION, ArrayRecording
 from tsjepa.data.readers.episode import Episode, Skipped, Streams, attempt
 from tsjepa.data.readers.pictures import natural
 from tsjepa.support.foreign import optional, refuse_pointers
@@ -19,8 +19,9 @@ BEST_RATIO = 1100  # of gzip on zeros; a data set that claims more than this tim
 class Hdf5:
     """Reader of HDF5 files; see :class:`tsjepa.data.readers.episode.Recording`.
 
-    A group ``data`` with one group an episode is robomimic's layout; ``observations/images`` in a file is ALOHA's, one
-    file an episode; ``ep_len`` and ``ep_offset`` beside flat arrays are stable-worldmodel's.
+    A group ``data`` with one group an episode is robomimic's layout, and the same groups at the top of a file are read
+    likewise; ``observations/images`` in a file is ALOHA's, one file an episode; ``ep_len`` and ``ep_offset`` beside
+    flat arrays are stable-worldmodel's.
     """
 
     @staticmethod
@@ -60,8 +61,10 @@ class Hdf5:
                     yield from self.recording.episodes(name, arrays)
 
     def _groups(self, file: Path, opened) -> list[tuple[str, object]]:
-        if layout(opened) == "robomimic's layout":
-            return [(name, opened["data"][name]) for name in sorted(opened["data"], key=natural)]
+        for parent in (opened.get("data"), opened):
+            if names := groups_of_episodes(parent):
+                label = "" if len(self.files) == 1 else f"{file.name} "
+                return [(f"{label}{name}", parent[name]) for name in sorted(names, key=natural)]
         return [(file.name, opened)]
 
     def _arrays(self, name: str, group) -> dict[str, object]:
@@ -84,11 +87,20 @@ class Hdf5:
         return found
 
 
+def groups_of_episodes(parent) -> list[str]:
+    """Names of the groups that hold commands of their own; none where the parent holds some itself."""
+    if not hasattr(parent, "keys") or any(key in parent for key in ACTION):
+        return []
+    groups = {name: parent.get(name) for name in parent}
+    return [name for name, group in groups.items() if hasattr(group, "keys") and any(key in group for key in ACTION)]
+
+
 def layout(file) -> str:
     """Whose layout a file has."""
-    data = file.get("data")
-    if hasattr(data, "keys") and any(hasattr(data[name], "keys") and "actions" in data[name] for name in data):
+    if groups_of_episodes(file.get("data")):
         return "robomimic's layout"
+    if groups_of_episodes(file):
+        return "a group an episode"
     if "observations/images" in file and "action" in file:
         return "ALOHA's layout"
     if "ep_len" in file and "ep_offset" in file:

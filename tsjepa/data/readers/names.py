@@ -8,7 +8,8 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from tsjepa.support.spec import UNKNOWN
-from tsjepa.support.tables import Table, split_unit
+from tsjepa.support.stamps import split_unit
+from tsjepa.support.tables import Table
 
 SUFFIXES = {
     "m_s2": "m/s^2",

@@ -11,6 +11,8 @@ import numpy as np
 
 from tsjepa.data.readers.episode import Frames, check_picture_size
 
+CHANNELS = (1, 3, 4)
+SAMPLED = 8  # pictures of a recording that tell the range of its numbers
 SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".webp", ".tif", ".tiff")
 
 
@@ -73,7 +75,8 @@ class ArrayPictures(Frames):
     """Pictures of an array that is read in slices (HDF5 data set, memory map).
 
     Args:
-        array: [N, H, W, 3], [N, 3, H, W], [N, H, W] or [N, H, W, 1]; uint8, or float in 0..1.
+        array: [N, H, W, C], [N, C, H, W] or [N, H, W] with 1, 3 or 4 channels (the fourth, alpha, is left out); uint8,
+            uint16, or float in 0..255, 0..1 or -1..1, which some of its pictures tell.
         first, count: the part of it that is meant.
         times: seconds [count], or None.
     """
@@ -82,27 +85,38 @@ class ArrayPictures(Frames):
         self.array, self.first, self.times = array, first, times
         self.count = len(array) - first if count is None else max(0, min(count, len(array) - first))
         shape = tuple(array.shape[1:])
-        self.channels_first = len(shape) == 3 and shape[0] in (1, 3) and shape[2] not in (1, 3)
-        if len(shape) not in (2, 3) or (len(shape) == 3 and shape[0 if self.channels_first else 2] not in (1, 3)):
+        self.channels_first = len(shape) == 3 and shape[0] in CHANNELS and shape[2] not in CHANNELS
+        if len(shape) not in (2, 3) or (len(shape) == 3 and shape[0 if self.channels_first else 2] not in CHANNELS):
             raise ValueError(f"an array of shape {tuple(array.shape)} holds no pictures.")
         self.height, self.width = shape[1:] if self.channels_first else shape[:2]
         check_picture_size(self.width, self.height, "the array")
         self.coding = "raw"
+        self.scale, self.shift = 1.0, 0.0
+        if array.dtype != np.uint8 and self.count:
+            self.scale, self.shift = levels(self._slice(np.linspace(0, self.count - 1, SAMPLED).astype(np.int64)))
 
-    def read(self, indices: Sequence[int] | np.ndarray) -> np.ndarray:
+    def _slice(self, indices: Sequence[int] | np.ndarray) -> np.ndarray:
         # a data set of HDF5 wants rising indices, each once
         places, order = np.unique(np.asarray(indices, dtype=np.int64), return_inverse=True)
-        return as_rgb(np.asarray(self.array[self.first + places]), self.channels_first)[order]
+        return np.asarray(self.array[self.first + places])[order]
+
+    def read(self, indices: Sequence[int] | np.ndarray) -> np.ndarray:
+        pictures = self._slice(indices)
+        if pictures.dtype != np.uint8:
+            pictures = np.nan_to_num(pictures * self.scale + self.shift).round().clip(0, 255).astype(np.uint8)
+        if self.channels_first:
+            pictures = pictures.transpose(0, 2, 3, 1)
+        if pictures.ndim == 3:
+            pictures = pictures[..., None]
+        return np.repeat(pictures, 3, axis=-1) if pictures.shape[-1] == 1 else pictures[..., :3]
 
 
-def as_rgb(pictures: np.ndarray, channels_first: bool = False) -> np.ndarray:
-    """uint8 [N, H, W, 3] of pictures [N, H, W], [N, H, W, 1 or 3] or [N, 1 or 3, H, W], uint8 or float in 0..1."""
-    if pictures.dtype != np.uint8:
-        if pictures.dtype.kind == "f" and np.nanmax(pictures, initial=0) <= 1:
-            pictures = pictures * 255
-        pictures = np.nan_to_num(pictures).round().clip(0, 255).astype(np.uint8)
-    if channels_first:
-        pictures = pictures.transpose(0, 2, 3, 1)
-    if pictures.ndim == 3:
-        pictures = pictures[..., None]
-    return np.repeat(pictures, 3, axis=-1) if pictures.shape[-1] == 1 else pictures
+def levels(pictures: np.ndarray) -> tuple[float, float]:
+    """Scale and shift that bring pictures of some other type to 0..255."""
+    known = pictures[np.isfinite(pictures)]
+    low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 0.0)
+    if pictures.dtype.kind != "f":
+        return (1.0, 0.0) if high <= 255 else (1 / 257, 0.0)
+    if high > 1:
+        return 1.0, 0.0
+    return (127.5, 127.5) if low < 0 else (255.0, 0.0)

@@ -9,7 +9,7 @@ import numpy as np
 
 from tsjepa.data.readers import names, pictures, video
 from tsjepa.data.readers.episode import Episode, Frames, Skipped, Streams, attempt
-from tsjepa.support import tables
+from tsjepa.support import delimited, stamps, tables
 from tsjepa.support.foreign import refuse_pointers
 
 PICTURE = ("image", "picture", "frame_file", "image_file", "image_path")
@@ -35,7 +35,7 @@ class Videos:
         self.path = path if path.is_dir() else path.parent
         self.streams, self.notes, self.rate_hz = streams, [], streams.rate_hz
         if path.is_file():
-            files = [file for file in self.path.iterdir() if file == path or file.suffix.lower() in tables.SUFFIXES]
+            files = [file for file in self.path.iterdir() if file == path or delimited.kind(file) in tables.SUFFIXES]
         else:
             files = [file for file in path.rglob("*") if file.is_file()]
         files = sorted((file for file in files if not file.name.startswith(".")), key=pictures.natural)
@@ -44,7 +44,7 @@ class Videos:
         for file in files:
             if file.suffix.lower() in pictures.SUFFIXES and not self.clips:
                 self.folders.setdefault(file.parent, []).append(file)
-        self.tables = [file for file in files if file.suffix.lower() in tables.SUFFIXES]
+        self.tables = [file for file in files if delimited.kind(file) in tables.SUFFIXES]
         refuse_pointers(self.clips or self.tables)
         self.cameras, self.others = [], []
         self.format = "folder of videos" if self.clips else "folder of pictures"
@@ -54,8 +54,44 @@ class Videos:
                 f"{path} holds {what} and no table of commands (CSV, Parquet or JSON lines); without commands there is "
                 "nothing to import."
             )
-        self._sources: list[Path] = self.clips or list(self.folders)
+        self._sources: list[Path] = self._of_one_camera(self.clips or list(self.folders))
         self._used: set[Path] = set()
+
+    def _of_one_camera(self, sources: list[Path]) -> list[Path]:
+        """Those of ``sources`` that show different episodes: several beside one table, each with a picture for every
+        row, are views of one episode, of which the camera's is taken, or the first.
+
+        Raises:
+            ValueError: there is no camera of that name.
+        """
+        taken, wanted = [], self.streams.camera
+        for parent in dict.fromkeys(source.parent for source in sources):
+            views = [source for source in sources if source.parent == parent]
+            beside = [table for table in self.tables if table.parent == parent]
+            if len(beside) == 1 and len(views) > 1 and self._same_rows(beside[0], views):
+                names_of = {source.name if source in self.folders else source.stem: source for source in views}
+                self.cameras += [name for name in names_of if name not in self.cameras]
+                if wanted is not None and wanted not in names_of:
+                    raise ValueError(f"There is no camera {wanted}; there are {', '.join(names_of)}.")
+                views = [names_of[wanted] if wanted is not None else views[0]]
+            taken += views
+        if len(self.cameras) > 1 and wanted is None:
+            self.notes.append(f"It has the cameras {', '.join(self.cameras)}; the first is taken.")
+        return taken
+
+    def _same_rows(self, table: Path, sources: list[Path]) -> bool:
+        """Whether the table has a row for every picture of each of ``sources``, and nothing that tells them apart."""
+        if any(delimited.stem(table) in (source.name, source.stem) for source in sources):
+            return False
+        columns = attempt(table.name, lambda: tables.read_table(table))
+        if isinstance(columns, Skipped) or not columns or any(name in columns for name in EPISODES):
+            return False
+        rows = len(next(iter(columns.values())))
+        counts = [attempt(source.name, lambda source=source: self._count(source)) for source in sources]
+        return all(isinstance(count, int) and abs(count - rows) <= 1 for count in counts)
+
+    def _count(self, source: Path) -> int:
+        return len(self.folders[source]) if source in self.folders else video.Video(source).count
 
     def episodes(self) -> Iterator[Episode | Skipped]:
         """One episode a video or a folder of pictures; tables that belong to none come last."""
@@ -67,7 +103,7 @@ class Videos:
 
     def _episode(self, source: Path) -> Episode:
         table = self._rows_of(source)
-        times = tables.time_column(table, self.streams.time)
+        times = stamps.time_column(table, self.streams.time)
         skip = {times[0]} if times else set()
         action_names, action = names.columns_like(table, self.streams.action, "action", skip)
         if not action_names:
@@ -106,10 +142,10 @@ class Videos:
             if lost:
                 raise ValueError(f"{len(lost)} of the {len(listed)} pictures of its rows are not there ({lost[0]}).")
             return pictures.picture_files([known[name] for name in listed])
-        stamps = [file.stem for file in files]
+        labels = [file.stem for file in files]
         times = None
-        if all(stamp.isdigit() and len(stamp) >= 10 for stamp in stamps):  # since 1970
-            times = tables.as_seconds(np.array([int(stamp) for stamp in stamps]), 1.0)
+        if all(label.isdigit() and len(label) >= 10 for label in labels):  # since 1970
+            times = stamps.as_seconds(np.array([int(label) for label in labels]), 1.0)
         return pictures.picture_files(files, times)
 
     def _rows_of(self, source: Path) -> tables.Table:
@@ -119,8 +155,8 @@ class Videos:
             ValueError: none do, or nobody can tell which.
         """
         stem = source.name if source in self.folders else source.stem
-        own = [table for table in self.tables if table.stem == stem or table.parent == source]
-        own = own or [table for table in self.tables if table.parent == source.parent and len(self._sources) == 1]
+        own = [table for table in self.tables if delimited.stem(table) == stem or table.parent == source]
+        own = own or [table for table in self.tables if table.parent == source.parent and self._only(source)]
         if not own and len(self.tables) == 1:
             own = self.tables
         if len(own) != 1:
@@ -132,14 +168,19 @@ class Videos:
             raise ValueError(f"its table {own[0].name} holds no rows.")
         key = next((name for name in EPISODES if name in table), None)
         if key is None:
-            if len(self._sources) > 1 and own[0].stem != stem and own[0].parent != source:
+            alone = own[0].parent == source.parent and self._only(source)
+            if len(self._sources) > 1 and delimited.stem(own[0]) != stem and own[0].parent != source and not alone:
                 raise ValueError(
                     f"{own[0].name} is one table for {len(self._sources)} episodes and has no column "
                     f"{', '.join(EPISODES[:4])} that tells them apart."
                 )
             return table
-        rows = self._select(table[key], source, stem, whole=own[0].stem == stem)
+        rows = self._select(table[key], source, stem, whole=delimited.stem(own[0]) == stem)
         return {name: column[rows] for name, column in table.items() if name != key}
+
+    def _only(self, source: Path) -> bool:
+        """Whether no other episode lies beside it."""
+        return sum(other.parent == source.parent for other in self._sources) == 1
 
     def _select(self, column: np.ndarray, source: Path, stem: str, whole: bool) -> np.ndarray:
         if column.dtype == object:

@@ -1,0 +1,178 @@
+"""The same recording, written as strangers write theirs: every way gives the same commands."""
+
+import codecs
+import gzip
+import json
+
+import cv2
+import numpy as np
+import pytest
+import recordings as make
+
+from tsjepa.data.importer import import_recording
+from tsjepa.data.readers import Episode, Streams, open_recording
+from tsjepa.support.stamps import as_seconds
+from tsjepa.support.tables import read_table
+
+ROWS, RATE = 12, 20
+FORCE = make.commands(ROWS, 1)[:, 0].astype(float)
+SINCE_1970 = 1_700_000_000 * 10**9
+
+
+def text(mark: str = ",", end: str = "\n", names=("time_s", "action"), unit: int = 0, start: int = 0, point=".") -> str:
+    """Rows at 20 Hz; ``unit`` in nanoseconds gives whole stamps, 0 seconds."""
+    stamps = [(start + k * 50_000_000) // unit if unit else k / RATE for k in range(ROWS)]
+    rows = [names, *zip(stamps, FORCE.tolist(), strict=True)]
+    return "".join(mark.join(str(cell).replace(".", point if row else ".") for cell in cells) + end
+                   for row, cells in enumerate(rows))  # fmt: skip
+
+
+NS = {"unit": 1, "start": SINCE_1970}
+TEXTS = {
+    "semicolons.csv": text(";"),
+    "tabs.tsv": text("\t"),
+    "decimal-commas.csv": text(";", point=","),
+    "windows.csv": text(end="\r\n"),
+    "mark.csv": codecs.BOM_UTF8 + text().encode(),
+    "utf16.csv": text().encode("utf-16"),
+    "packed.csv.gz": gzip.compress(text().encode()),
+    "commented.csv": "# of 3 May\n\n" + text(),
+    "header-behind-a-comment.csv": "# " + text(),
+    "index.csv": "\n".join(
+        ("" if not row else str(row - 1)) + "," + line for row, line in enumerate(text().splitlines())
+    ),
+    "marks-at-the-end.csv": text(end=",\n"),
+    "nanoseconds.csv": text(names=("timestamp_ns", "action"), **NS),
+    "nanoseconds-in-no-name.csv": text(names=("timestamp", "cmd"), **NS),
+    "microseconds.csv": text(names=("time_us", "u"), unit=1000, start=SINCE_1970),
+    "milliseconds-from-zero.csv": text(names=("t_ms", "action"), unit=10**6),
+    "elapsed.csv": text(names=("elapsed_time", "command")),
+    "dates.csv": "time,action\n"
+    + "".join(f"2024-01-01T00:00:00.{50 * k:03d}Z,{force}\n" for k, force in enumerate(FORCE)),
+    "dates-in-a-zone.csv": "time,action\n"
+    + "".join(f"2024-01-01 00:00:00.{50 * k:03d}+02:00,{force}\n" for k, force in enumerate(FORCE)),
+    "lines.ndjson": "".join(json.dumps({"t": k / RATE, "action": [force]}) + "\n" for k, force in enumerate(FORCE)),
+    "nested.jsonl": "".join(
+        json.dumps({"t": k / RATE, "action": {"force": force}}) + "\r\n" for k, force in enumerate(FORCE)
+    ),
+    "list.json": json.dumps([{"t": k / RATE, "action": force} for k, force in enumerate(FORCE)], indent=1),
+    "lists.json": json.dumps({"t": [k / RATE for k in range(ROWS)], "action": FORCE.tolist()}),
+    "wrapped.json": json.dumps({"rows": [{"t": k / RATE, "action": force} for k, force in enumerate(FORCE)]}),
+}
+
+
+@pytest.mark.parametrize("name", TEXTS)
+def test_a_table_is_read_however_it_is_written(name, tmp_path):
+    make.write_video(tmp_path / "run_0.mp4", make.pictures(ROWS), RATE)
+    content = TEXTS[name]
+    (tmp_path / name).write_bytes(content if isinstance(content, bytes) else content.encode())
+    (episode,) = open_recording(tmp_path).episodes()
+    assert isinstance(episode, Episode), episode
+    np.testing.assert_allclose(episode.action[:, 0], FORCE, rtol=1e-6)
+    np.testing.assert_allclose(episode.times - episode.times[0], np.arange(ROWS) / RATE, atol=1e-6)
+
+
+def test_dates_in_zones_are_one_clock():
+    words = np.array(["2024-01-01T12:00:00+02:00", "2024-01-01T10:00:01Z", "2024/01/01 10:00:02"], dtype=object)
+    np.testing.assert_allclose(np.diff(as_seconds(words, 1.0)), [1, 1])
+    with pytest.raises(ValueError, match="words instead of numbers or dates"):
+        as_seconds(np.array(["yesterday"], dtype=object), 1.0)
+
+
+def test_a_damaged_archive_is_one_sentence(tmp_path):
+    (tmp_path / "rows.csv.gz").write_bytes(gzip.compress(text().encode())[:-9])
+    with pytest.raises(ValueError, match=r"rows\.csv\.gz cannot be unpacked"):
+        read_table(tmp_path / "rows.csv.gz")
+
+
+def test_folders_beside_one_table_are_cameras_where_each_has_a_picture_for_every_row(tmp_path):
+    for camera, first in (("left", 0), ("right", 100)):
+        (tmp_path / camera).mkdir()
+        for number, frame in enumerate(make.pictures(ROWS, first=first)):
+            cv2.imwrite(str(tmp_path / camera / f"{number}.png"), frame[..., ::-1])
+    (tmp_path / "commands.csv").write_text(text())
+    for camera, first in ((None, 0), ("right", 100)):
+        recording = open_recording(tmp_path, Streams(camera))
+        (episode,) = recording.episodes()
+        assert recording.cameras == ["left", "right"]
+        np.testing.assert_array_equal(episode.frames.read([3])[0], make.pictures(ROWS, first=first)[3])
+    with pytest.raises(ValueError, match="There is no camera top; there are left, right"):
+        open_recording(tmp_path, Streams("top"))
+    (tmp_path / "left" / "11.png").unlink(), (tmp_path / "left" / "10.png").unlink()
+    reasons = [skipped.reason for skipped in open_recording(tmp_path).episodes()]
+    assert "is one table for 2 episodes" in reasons[0]
+
+
+def test_a_table_above_nested_folders_of_pictures_is_theirs(tmp_path):
+    folder = tmp_path / "run" / "rgb" / "cam"
+    folder.mkdir(parents=True)
+    for number, frame in enumerate(make.pictures(ROWS)):
+        cv2.imwrite(str(folder / f"{number:03d}.png"), frame)
+    (tmp_path / "rows.csv").write_text(text())
+    (episode,) = open_recording(tmp_path).episodes()
+    assert episode.frames.count == ROWS
+
+
+def group_an_episode(path, prefix: str):
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(path, "w") as file:
+        for episode in (0, 2, 10):
+            file[f"{prefix}_{episode}/action"] = make.commands(ROWS, 2, seed=episode)
+            file[f"{prefix}_{episode}/obs/rgb"] = make.pictures(ROWS, first=episode)
+    return path
+
+
+def test_groups_at_the_top_of_an_hdf5_file_are_episodes(tmp_path):
+    recording = open_recording(group_an_episode(tmp_path / "demo.h5", "traj"))
+    episodes = list(recording.episodes())
+    assert recording.format == "HDF5, a group an episode"
+    assert [episode.name for episode in episodes] == ["traj_0", "traj_2", "traj_10"]
+    np.testing.assert_array_equal(episodes[2].action, make.commands(ROWS, 2, seed=10))
+
+
+def varied(kind: str) -> np.ndarray:
+    """The pictures of :func:`recordings.pictures` as others store them."""
+    frames = make.pictures(ROWS)
+    return {
+        "channels first": frames.transpose(0, 3, 1, 2),
+        "with alpha": np.concatenate([frames, frames[..., :1]], axis=-1),
+        "0 to 1": (frames / 255).astype(np.float32),
+        "-1 to 1, channels first": (frames / 127.5 - 1).astype(np.float32).transpose(0, 3, 1, 2),
+        "0 to 255": frames.astype(np.float32),
+        "16 bits": frames.astype(np.uint16) * 257,
+    }[kind]
+
+
+KINDS = ["channels first", "with alpha", "0 to 1", "-1 to 1, channels first", "0 to 255", "16 bits"]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("suffix", ["npz", "h5"])
+def test_pictures_in_arrays_are_the_same_however_they_are_scaled(kind, suffix, tmp_path):
+    arrays = {"pixels": varied(kind), "action": make.commands(ROWS, 2), "time": np.arange(ROWS)[:, None] / RATE}
+    if suffix == "npz":
+        np.savez(tmp_path / "run.npz", **arrays)
+    else:
+        h5py = pytest.importorskip("h5py")
+        with h5py.File(tmp_path / "run.h5", "w") as file:
+            for name, array in arrays.items():
+                file.create_dataset(name, data=array, compression="gzip")
+    (episode,) = open_recording(tmp_path).episodes()
+    np.testing.assert_allclose(episode.times, np.arange(ROWS) / RATE)
+    np.testing.assert_array_equal(episode.frames.read(np.arange(ROWS)), make.pictures(ROWS))
+
+
+def test_dark_pictures_of_a_recording_in_0_to_255_stay_dark(tmp_path):
+    frames = make.pictures(ROWS).astype(np.float32)
+    frames[4] = 1.0
+    np.savez(tmp_path / "run.npz", pixels=frames, action=make.commands(ROWS, 2))
+    (episode,) = open_recording(tmp_path, Streams(rate_hz=RATE)).episodes()
+    assert (episode.frames.read([4]) == 1).all()
+
+
+def test_grey_arrays_are_pictures_by_their_name(tmp_path):
+    grey = make.pictures(ROWS)[..., 0]
+    np.savez(tmp_path / "run.npz", images=grey, action=make.commands(ROWS, 2))
+    import_recording(str(tmp_path), str(tmp_path / "set"), size=None, slots=4, rate_hz=RATE)
+    (episode,) = open_recording(tmp_path, Streams(rate_hz=RATE)).episodes()
+    np.testing.assert_array_equal(episode.frames.read([5])[0], np.repeat(grey[5][..., None], 3, axis=-1))
