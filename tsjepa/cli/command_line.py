@@ -37,7 +37,10 @@ COMMANDS = {
     "report": ("tsjepa.paper.report:report", "compare every figure with what the paper claims"),
     "export": ("tsjepa.zoo.export:export", "make a trained model an entry of the zoo"),
     "deploy": ("tsjepa.zoo.deploy:deploy", "write a model as ONNX or torch.export graphs"),
-    "zoo": ("tsjepa.zoo.verify:zoo", "list the pretrained models, or verify them: tsjepa zoo verify"),
+    "zoo": (
+        "tsjepa.zoo.verify:zoo",
+        "list the pretrained models, verify them, or train one: tsjepa zoo train NAME",
+    ),
     "doctor": ("tsjepa.cli.doctor:doctor", "tell what this machine offers and what to mend"),
 }
 

@@ -5,6 +5,7 @@ from tsjepa.models.autoencoder import AutoencoderController, StateEstimator
 from tsjepa.models.controller import Controller
 from tsjepa.models.decoder import Decoder
 from tsjepa.models.encoder import Encoder
+from tsjepa.models.hierarchy import HierarchicalPredictor
 from tsjepa.models.predictor import Predictor, rollout
 from tsjepa.models.probe import StateProbe
 from tsjepa.models.semantic import SemanticController
@@ -15,6 +16,7 @@ __all__ = [
     "Controller",
     "Decoder",
     "Encoder",
+    "HierarchicalPredictor",
     "Predictor",
     "SemanticController",
     "StateEstimator",
