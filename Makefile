@@ -11,6 +11,9 @@ OVER ?=
 # The recipe $(1) and, where OVER has one of that name, the one over it.
 layers = --config recipes/$(1).yaml $(if $(wildcard $(OVER)/$(1).yaml),--config $(OVER)/$(1).yaml)
 
+# The entry that `make zoo` makes again.
+ENTRY ?= tsjepa-cartpole-d16
+
 # Python of the environment that has `tsjepa[bench]`, for the benchmarks beside other libraries; see peers.py.
 PEERS_PYTHON ?= $(BIN)/python
 BENCHMARKS := camera training_step network fleet collection latency loading memory quality
@@ -20,7 +23,7 @@ BIN := $(VENV)/bin
 PYTEST = $(BIN)/python -m pytest --numprocesses logical --maxprocesses 8 --dist loadfile
 STAMP := $(VENV)/.setup-done
 
-.PHONY: help setup train-jepa train-actor train-supervised train-autoencoder data evaluate demo figures figures-check report test test-fast lint types docs wheel faults audit bench
+.PHONY: help setup zoo train-jepa train-actor train-supervised train-autoencoder data evaluate demo figures figures-check report test test-fast lint types docs wheel faults audit bench
 
 help: ## print this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "%-18s %s\n", $$1, $$2}' Makefile
@@ -69,6 +72,9 @@ data: setup ## collect the data sets from dm-control pixels
 
 evaluate: setup ## close the loop on held-out starts and print the table
 	$(BIN)/tsjepa evaluate $(call layers,evaluate)
+
+zoo: setup ## make an entry of the zoo again, from nothing to its card: make zoo ENTRY=tsjepa-reacher
+	$(BIN)/tsjepa zoo train $(ENTRY)
 
 demo: setup ## a pretrained model controls cart-poles over a lossy link: a table, and a film in runs/demo
 	$(BIN)/tsjepa simulate --config recipes/demo.yaml

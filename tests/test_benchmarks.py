@@ -100,6 +100,25 @@ def test_experts(tmp_path):
     assert "| searched law | 1 |" in (tmp_path / "experts.md").read_text()
 
 
+@pytest.mark.slow
+def test_hierarchy(tmp_path):
+    small = ["--steps", "2", "--training_seeds", "2", "--seeds", "2", "--starts", "2", "--sizes", "2", "3"]
+    small += ["--episodes", "2", "1", "--work", str(tmp_path / "work"), "--output", str(tmp_path)]
+    command = [sys.executable, str(HOME / "hierarchy.py"), *small]
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+    result = json.loads((tmp_path / "hierarchy.json").read_text())
+    rows = result["rows"]
+    assert {row["kind"] for row in rows.values()} == {"flat", "strides", "strides, no agreement", "flat, as shipped"}
+    flat, strides = rows["flat, 0"]["parameters"], rows["strides, 0"]["parameters"]
+    assert abs(strides - flat) < 0.01 * flat
+    # of the predictors only the shipped one has learnt anything
+    assert rows["flat, as shipped, 0"]["errors"]["10"][0] < rows["flat, 0"]["errors"]["10"][0]
+    assert "Strides less flat" in (tmp_path / "hierarchy.md").read_text()
+    before = (tmp_path / "work" / "rows.journal").read_bytes()
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+    assert (tmp_path / "work" / "rows.journal").read_bytes() == before
+
+
 @pytest.fixture
 def script(monkeypatch):
     """A benchmark's module, as it is imported when the script runs."""

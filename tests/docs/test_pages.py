@@ -1,11 +1,12 @@
 """The Python code on every page runs, its blocks one after the other."""
 
+import re
 import sys
 from pathlib import Path
 from types import ModuleType
 
 import pytest
-from pages import PAGES, blocks
+from pages import DOCS, PAGES, blocks
 
 # needs frames; tests/docs/test_readme.py gives it some
 ELSEWHERE = {"README.md"}

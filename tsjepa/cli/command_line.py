@@ -47,7 +47,10 @@ COMMANDS = {
     "deploy": ("tsjepa.zoo.deploy:deploy", "write a model as ONNX or torch.export graphs"),
     "device": ("tsjepa.live.device:device", "watch a machine, send embeddings by UDP, apply the commands that come"),
     "controller": ("tsjepa.live.controller:controller", "control many devices by UDP"),
-    "zoo": ("tsjepa.zoo.verify:zoo", "list the pretrained models, or verify them: tsjepa zoo verify"),
+    "zoo": (
+        "tsjepa.zoo.verify:zoo",
+        "list the pretrained models, verify them, or train one: tsjepa zoo train NAME",
+    ),
     "doctor": ("tsjepa.cli.doctor:doctor", "tell what this machine offers and what to mend"),
     "completion": ("tsjepa.cli.completion:completion", "print a script that completes commands and options in a shell"),
 }

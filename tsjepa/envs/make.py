@@ -21,9 +21,9 @@ from tsjepa.envs.need import watched
 from tsjepa.envs.payload import sends_frames
 from tsjepa.envs.radio_end import actuator, radio_end
 from tsjepa.envs.settings import Radio
-from tsjepa.envs.transforms import Estimator, HoldCommand, linear_model
+from tsjepa.envs.transforms import Estimator, HierarchicalEstimator, HoldCommand, linear_model
 from tsjepa.envs.weights import at_weights
-from tsjepa.models import Controller
+from tsjepa.models import Controller, HierarchicalPredictor
 from tsjepa.plants.plant import Plant
 from tsjepa.radio.schedulers import SchedulerFunction
 
@@ -113,6 +113,14 @@ def far_end(
         between = between if isinstance(controller, Controller) else controller
         return HoldCommand(between or "hold", rest(plant))
     embeds = isinstance(controller, Controller)
+    strides = getattr(controller, "predictor", None)
+    if isinstance(strides, HierarchicalPredictor):
+        if blend < 1.0 or radio.delay is not None:
+            raise ValueError(
+                "A predictor of several strides takes what it receives as it is and in its slot: leave blend at 1 and "
+                "the uplink without delay."
+            )
+        return HierarchicalEstimator(strides, _sent_as(radio))
     late = {"horizon": 0 if radio.delay is None else radio.delay_horizon}
     predict = prediction(controller, plant)
     return Estimator(predict, _sent_as(radio) if embeds else "received", blend, unit_length=embeds, **late)

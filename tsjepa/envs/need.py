@@ -8,7 +8,17 @@ from torch import Tensor, nn
 
 from tsjepa.envs.payload import sends_frames
 from tsjepa.envs.settings import Radio, Requests
-from tsjepa.envs.transforms import AgeCost, Camera, Encode, Estimator, ExpectedGain, Scheduler, Twin, Urgency
+from tsjepa.envs.transforms import (
+    AgeCost,
+    Camera,
+    Encode,
+    Estimator,
+    ExpectedGain,
+    HierarchicalEstimator,
+    Scheduler,
+    Twin,
+    Urgency,
+)
 from tsjepa.envs.weights import at_weights
 from tsjepa.models import Controller
 from tsjepa.plants.plant import Plant
@@ -73,7 +83,14 @@ def twin_of(far_end: nn.Module, plant: Plant, controller: str | Controller) -> T
     Commands are those of the plant's expert before they saturate, in the state that a model's probe reads, where the
     expert can say them: a device that is being lost asks for more than the actuator has, and an error of its state
     would not show in what the actuator gives. Else they are the controller's own, within the actuator's range.
+
+    Raises:
+        ValueError: a controller that a device cannot run in step.
     """
+    if isinstance(far_end, HierarchicalEstimator):
+        raise ValueError(
+            "Devices do not run a predictor of several strides in step: choose a scheduler that asks for no urgency."
+        )
     low, high = (torch.tensor(bound) for bound in (plant.spec.action_low, plant.spec.action_high))
     expert, model = next(iter(plant.experts().values())), controller if isinstance(controller, Controller) else None
     predicts = isinstance(far_end, Estimator)

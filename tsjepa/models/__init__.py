@@ -5,6 +5,7 @@ from tsjepa.models.autoencoder import AutoencoderController, StateEstimator
 from tsjepa.models.controller import Controller
 from tsjepa.models.decoder import Decoder
 from tsjepa.models.encoder import Encoder
+from tsjepa.models.hierarchy import HierarchicalPredictor
 from tsjepa.models.onnx_encoder import OnnxEncoder
 from tsjepa.models.predictor import Predictor, rollout
 from tsjepa.models.probe import StateProbe
@@ -17,6 +18,7 @@ __all__ = [
     "Controller",
     "Decoder",
     "Encoder",
+    "HierarchicalPredictor",
     "OnnxEncoder",
     "Predictor",
     "SemanticController",

@@ -49,13 +49,16 @@ def rollout(predictor: nn.Module, embedding: Tensor, commands: Tensor) -> Tensor
     """Feeds the predictor its own output; the one roll-out used by the loss, the estimator and the evaluation.
 
     Args:
-        predictor: maps (embedding [..., d], command [..., m]) to the next embedding [..., d].
+        predictor: maps (embedding [..., d], command [..., m]) to the next embedding [..., d]; one with a method
+            ``ahead``, which gives what is returned here, rolls out in its own way.
         embedding: start [..., d].
         commands: [..., K, m], the command applied in each of K slots.
 
     Returns:
         Embeddings after each slot, [..., K, d].
     """
+    if hasattr(predictor, "ahead"):
+        return predictor.ahead(embedding, commands)
     predictions = []
     for command in commands.unbind(dim=-2):
         embedding = predictor(embedding, command)

@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from tsjepa.data.augmentation import Augmentation
-from tsjepa.models import Predictor, SemanticController
+from tsjepa.models import HierarchicalPredictor, Predictor, SemanticController
 from tsjepa.support.checks import within
 from tsjepa.support.parallel import gather
 from tsjepa.support.seeds import derive, run_seed
@@ -33,7 +33,7 @@ class TSJEPA(lightning.LightningModule):
     Args:
         encoder: the context encoder, any module from frames uint8 [N, frame_stack, H, W, 3] to embeddings [N, d] with
             ``frame_shape`` (frame_stack, H, W, 3) and ``embedding_dim``.
-        predictor: one step of embedding dynamics.
+        predictor: one step of embedding dynamics; of one with several strides the smallest, which is one slot.
         augmentation: applied to every window with its own draw.
         optimizer: from parameters to optimizer.
         scheduler: from optimizer to a schedule that steps once an epoch; None for linear warm-up over the first 5 % of
@@ -49,7 +49,7 @@ class TSJEPA(lightning.LightningModule):
     def __init__(
         self,
         encoder: nn.Module,
-        predictor: Predictor,
+        predictor: Predictor | HierarchicalPredictor,
         augmentation: Augmentation,
         optimizer: OptimizerCallable = torch.optim.AdamW,
         scheduler: LRSchedulerCallable | None = None,
@@ -69,6 +69,9 @@ class TSJEPA(lightning.LightningModule):
             )
         if pretrained is not None:
             start_from(pretrained, encoder=encoder, predictor=predictor)
+        if isinstance(predictor, HierarchicalPredictor):
+            # larger strides learn on frozen embeddings, and data parallelism waits for every gradient that there may be
+            predictor.levels[1:].requires_grad_(False)
         self.encoder, self.predictor, self.augmentation = encoder, predictor, augmentation
         self.target_encoder = AveragedModel(encoder, multi_avg_fn=get_ema_multi_avg_fn(ema_decay), use_buffers=True)
         self.target_encoder.requires_grad_(False)

@@ -1,4 +1,4 @@
-"""``tsjepa zoo`` lists the pretrained models with their key figures; ``tsjepa zoo verify`` scores them again."""
+"""``tsjepa zoo`` lists the pretrained models; ``verify`` scores them again, and ``train`` makes them again."""
 
 from __future__ import annotations
 
@@ -14,27 +14,41 @@ from tsjepa.evaluation.rollouts import every, perfect_feedback, run
 from tsjepa.models import Controller
 from tsjepa.models.entries import names
 from tsjepa.zoo.figures import key_figures, own_rows, table
+from tsjepa.zoo.train import train
 
 VERIFIED_PERIODS = (1, 5)
 VERIFIED_SEEDS = 2
 NEEDED = ("seeds", "starts_per_seed", "slots", "frame_history", "optimal_policy", "codec", "blend")
 
 
-def zoo(action: Literal["list", "verify"] = "list", name: str | None = None, *, device: str = "cpu") -> list[dict]:
-    """Lists the pretrained models, or re-hashes them and closes their loops again on some of their card's starts.
+def zoo(
+    action: Literal["list", "verify", "train"] = "list",
+    name: str | None = None,
+    *,
+    device: str = "cpu",
+    seed: int = 0,
+) -> list[dict]:
+    """Lists the pretrained models, verifies them, or makes one again from nothing, see :func:`tsjepa.zoo.train.train`.
+
+    Verified entries are hashed, and their loops closed again on some of their card's starts.
 
     Args:
-        action: "list" or "verify".
+        action: "list", "verify" or "train".
         name: of one entry, or its folder; all that are shipped by default.
         device: where the models compute while they are verified, such as cuda.
+        seed: of a training.
 
     Returns:
         What was printed, one dictionary a line.
 
     Raises:
         DamagedEntryError: a file is missing or has changed.
-        ValueError: an entry scores outside the interval on its card.
+        ValueError: an entry scores outside the interval on its card, or no entry to train is named.
+        RuntimeError: a step of a training failed.
     """
+    if action == "train":
+        entry = train(name or "", seed)
+        return [key_figures(str(entry))]
     chosen = names() if name is None else [name]
     if action == "list":
         figures = [key_figures(entry) for entry in chosen]

@@ -1,8 +1,8 @@
 """The chain from plant to controller, one TorchRL transform per box.
 
 Order in a ``Compose``: Drive, Channel (or TraceChannel), Scheduler, Camera, Encode, Codec, Uplink, Acknowledge, Delay,
-Energy, Actuator, Estimator, HoldCommand; leave out what the experiment does not have. Where devices watch all the time,
-Camera, Encode and Urgency stand before the Scheduler; so do ExpectedGain and AgeCost.
+Energy, Actuator, Estimator (or HierarchicalEstimator), HoldCommand; leave out what the experiment does not have. Where
+devices watch all the time, Camera, Encode and Urgency stand before the Scheduler; so do ExpectedGain and AgeCost.
 """
 
 from tsjepa.envs.transforms.actuator import Actuator
@@ -13,6 +13,7 @@ from tsjepa.envs.transforms.delay import Acknowledge, Delay
 from tsjepa.envs.transforms.drive import Drive
 from tsjepa.envs.transforms.energy import Energy
 from tsjepa.envs.transforms.estimator import Estimator, HoldCommand, linear_model
+from tsjepa.envs.transforms.hierarchy import HierarchicalEstimator
 from tsjepa.envs.transforms.scheduler import Scheduler
 from tsjepa.envs.transforms.trace_channel import TraceChannel
 from tsjepa.envs.transforms.uplink import Codec, Uplink
@@ -31,6 +32,7 @@ __all__ = [
     "Energy",
     "Estimator",
     "ExpectedGain",
+    "HierarchicalEstimator",
     "HoldCommand",
     "Scheduler",
     "TraceChannel",

@@ -1,0 +1,93 @@
+"""Which commands make each entry of the zoo, from nothing to what is evaluated."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+LARGE = "data/cartpole-large"  # of recipes/zoo/data.yaml
+LARGE_DATA = (
+    *("--data.init_args.path", LARGE),
+    *("--data.init_args.collect", "[recipes/data.yaml, recipes/zoo/data.yaml]"),
+    *("--data.init_args.splits", "[train, actor_train, actor_plain]"),
+)
+
+
+@dataclass(frozen=True)
+class Fit:
+    """One fit: a base recipe below ``recipes``, what lies over it, and options."""
+
+    recipe: str
+    over: tuple[str, ...] = ()
+    options: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Made:
+    """How an entry is made.
+
+    Args:
+        fits: in their order; each but the first starts from the model of the one before.
+        data: set whose test split gives the card's command error.
+        evaluation: further options of ``tsjepa evaluate``.
+        over: recipes over ``recipes/evaluate.yaml``.
+    """
+
+    fits: tuple[Fit, ...]
+    data: str = LARGE
+    evaluation: tuple[str, ...] = ("--frame_history", "4", "--periods", "[1, 2, 5, 10, 20, 0]")
+    over: tuple[str, ...] = ()
+
+
+def of_width(dim: int) -> Made:
+    """TS-JEPA for the cart-pole with embeddings of ``dim`` numbers."""
+    options = [word for part in ("encoder", "predictor") for word in (f"--model.init_args.{part}.init_args", str(dim))]
+    options = [word + ".embedding_dim" if word.startswith("--") else word for word in options]
+    return Made((Fit("jepa", ("zoo/jepa",), tuple(options)), Fit("actor", ("zoo/actor",))))
+
+
+def of_plant(plant: str) -> Made:
+    """TS-JEPA for another machine, by the recipes below recipes/plants."""
+    over = f"plants/{plant}"
+    fits = (Fit("jepa", (f"{over}/jepa",)), Fit("actor", (f"{over}/actor",)))
+    return Made(fits, f"data/{plant}", (), (f"{over}/evaluate",))
+
+
+SUPERVISED = (*LARGE_DATA, "--trainer.max_epochs", "9", "--model.init_args.learning_rate", "2e-3")
+PAPER_20_MS = ("--data.init_args.path", "data/paper-20ms", "--data.init_args.collect", "recipes/zoo/paper-data.yaml")
+ENTRIES: dict[str, Made] = {
+    "tsjepa-cartpole": of_width(256),
+    "tsjepa-cartpole-d128": of_width(128),
+    "tsjepa-cartpole-d64": of_width(64),
+    "tsjepa-cartpole-d32": of_width(32),
+    "tsjepa-cartpole-d16": Made((Fit("jepa", ("zoo/jepa", "zoo/d16")), Fit("actor", ("zoo/actor",)))),
+    "supervised-cartpole-k2": Made((Fit("supervised", (), SUPERVISED),)),
+    "supervised-cartpole-k4": Made((Fit("supervised", ("supervised-k4",), SUPERVISED),)),
+    "autoencoder-cartpole": Made((Fit("autoencoder", (), LARGE_DATA),)),
+    "tsjepa-cartpole-paper": Made(
+        (Fit("jepa", ("paper/jepa",), PAPER_20_MS), Fit("actor", ("paper/actor",), PAPER_20_MS)), "data/paper-20ms"
+    ),
+    "tsjepa-double-cartpole": of_plant("double_cartpole"),
+    "tsjepa-reacher": of_plant("reacher"),
+}
+
+
+def commands(made: Made, home: str, name: str, seed: int) -> dict[str, list[str]]:
+    """The words of each command after ``tsjepa``, by what is done, with everything below the folder ``home``."""
+    steps: dict[str, list[str]] = {}
+    for fit, before in zip(made.fits, (None, *made.fits), strict=False):
+        start = [] if before is None else ["--model.init_args.pretrained", f"{home}/{before.recipe}/model"]
+        steps[fit.recipe] = ["fit", *recipes((fit.recipe, *fit.over)), *fit.options, *start]
+        steps[fit.recipe] += ["--trainer.default_root_dir", f"{home}/{fit.recipe}", "--seed_everything", str(seed)]
+    last = f"{home}/{made.fits[-1].recipe}"
+    evaluation = f"{home}/evaluation"
+    steps["evaluate"] = ["evaluate", *recipes(("evaluate", *made.over)), "--model", f"{last}/model"]
+    steps["evaluate"] += ["--data", made.data, "--output", evaluation, *made.evaluation]
+    steps["export"] = ["export", last, name, "--evaluation", f"{evaluation}/evaluation.json"]
+    steps["export"] += ["--folder", f"{home}/entry", "--half", "true"]
+    return steps
+
+
+def recipes(names: Sequence[str]) -> list[str]:
+    """``--config`` for each, by its path below ``recipes`` without the ending."""
+    return [word for name in names for word in ("--config", f"recipes/{name}.yaml")]
