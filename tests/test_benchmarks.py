@@ -225,6 +225,64 @@ def test_network(tmp_path, script):
     assert len(rows(script, "network", result)) >= 6
 
 
+@pytest.mark.slow
+def test_radio(tmp_path, script):
+    small = ["--devices", "2", "--slots", "2", "--rounds", "1", "--network-slots", "2", "--beside", str(tiny.ROOT)]
+    result = run("radio.py", tmp_path, *small)
+    assert result["network"]["ours_over_other"]["min"] > 0.05  # the same package twice, at a size that means nothing
+    (row,) = result["fleet"]
+    assert set(row["device_steps_per_second"]) == {"channel_aware", "expected_urgency", "urgency"}
+    assert [cells[0] for cells in rows(script, "radio", result)] == [
+        "network alone, I = 1000, one thread",
+        "fleet by urgency, all devices drawn and encoded, I = 2",
+    ]
+
+
+def main_of(module, monkeypatch, *options: str) -> None:
+    monkeypatch.setattr("sys.argv", [module.__name__, *options])
+    module.main()
+
+
+@pytest.mark.slow
+def test_calibration(tmp_path, script, monkeypatch):
+    calibration = script("calibration")
+    sizes = {"NETWORKS": 3, "DEVICES": 6, "BLOCKS": 2, "WARM_UP": 2, "SLOTS": 20, "KNOWLEDGE": ("perfect", "acks")}
+    for name, value in sizes.items():
+        monkeypatch.setattr(calibration, name, value)
+    monkeypatch.setattr(calibration, "FLEET", dict.fromkeys(calibration.FLEET, 12))
+    main_of(calibration, monkeypatch, "--control", "--seeds", "2", "--output", str(tmp_path))
+    found = json.loads((tmp_path / "calibration.json").read_text())["rows"]
+    assert [(row["csi"], row["channel"]) for row in found[:2]] == [("perfect", "independent"), ("acks", "independent")]
+    assert len(found) == 2 * len(calibration.CHANNELS)
+    # whoever knows the SNR of the slot, and of no other loss, is right every time
+    assert found[0]["predicted"] == found[0]["realised"] == 1 and found[0]["interval_95"] == 0
+    assert all(0 < row["realised"] <= 1 for row in found)
+    # a schedule by age alone does not ask what is known of the links
+    assert all(row["control"]["max_age"] > 0 for row in found)
+    assert found[0]["control"]["max_age"] == found[1]["control"]["max_age"]
+    lines = (tmp_path / "calibration.md").read_text().splitlines()
+    assert sum(line.startswith("| ") for line in lines) == 1 + len(found)
+    assert all(line.count("|") == 10 for line in lines if line.startswith("|"))
+
+
+@pytest.mark.slow
+def test_downlink(tmp_path, script, monkeypatch):
+    downlink = script("downlink")
+    for name, value in {"SILENT": (0, 2), "LOSSES": (0.3,), "BUFFERS": {"hold": 1, "buffer of 4": 4}}.items():
+        monkeypatch.setattr(downlink, name, value)
+    small = ["--seeds", "2", "--starts", "5", "--slots", "140", "--output", str(tmp_path)]
+    main_of(downlink, monkeypatch, *small)
+    found = json.loads((tmp_path / "downlink.json").read_text())["rows"]
+    assert [(row["silent_slots"], row["loss"]) for row in found] == [(0, 0), (2, 0), (0, 0.3)]
+    scores = [{name: mean for name, (mean, _) in row["scores"].items()} for row in found]
+    assert {name.split(", ")[1] for name in scores[0]} == {"hold", "buffer of 4"}
+    # the true state's linear prediction is nearly exact without noise, so that a buffer loses nothing
+    for name in ("true state, buffer of 4", "true state, hold"):
+        assert scores[0][name] > 0.5
+    assert abs(scores[1]["true state, buffer of 4"] - scores[0]["true state, hold"]) < 0.1
+    assert (tmp_path / "downlink.md").read_text().count("\n| ") == 1 + len(found)
+
+
 def test_peers_that_are_not_installed_are_left_out_with_the_reason(script):
     assert script("peers").missing("no-such-package")["left_out"].startswith("no-such-package is not installed")
     assert script("peers").missing("torch") is None

@@ -166,6 +166,24 @@ def network(result: dict) -> Iterator[Row]:
         yield Row(f"38.901 topologies, InF-{name}", figure, other, row["ours_over_sionna"])
 
 
+def radio(result: dict) -> Iterator[Row]:
+    part = result["network"]
+    if "left_out" in part:
+        yield Row("network alone beside an older commit", "left out", part["left_out"])
+    else:
+        figure, ratio = f"{part['ours']['median'] / 1e6:.1f} million device-slots/s", part["ours_over_other"]
+        other = f"commit {part['other_commit']}: {part['other']['median'] / 1e6:.1f}"
+        yield Row("network alone, I = 1000, one thread", figure, other, ratio, ratio["target"], ratio["median"])
+    for row in result["fleet"]:
+        rates = row["device_steps_per_second"]
+        yield Row(
+            f"fleet by urgency, all devices drawn and encoded, I = {row['devices']}",
+            f"{middle(rates['urgency'])} device-steps/s",
+            f"channel_aware, what is sent: {middle(rates['channel_aware'])}",
+            row["urgency_over_channel_aware"],
+        )
+
+
 def fleet(result: dict) -> Iterator[Row]:
     peak = result["gemm_gigaflop_per_second"]["median"]
     for row in result["fleet"]:
@@ -232,7 +250,7 @@ def memory(result: dict) -> Iterator[Row]:
 
 PARTS: dict[str, Callable[[dict], Iterator[Row]]] = {
     part.__name__: part
-    for part in (camera, collection, training_step, peers, quality, network, fleet, latency, loading, memory)
+    for part in (camera, collection, training_step, peers, quality, network, radio, fleet, latency, loading, memory)
 }
 HEAD = ("what", "figure", "peer or limit", "ratio: median (range)", "target", "met", "command")
 
