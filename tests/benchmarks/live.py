@@ -15,6 +15,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import live_crowd
@@ -45,12 +46,23 @@ def end(child: subprocess.Popen) -> None:
     child.wait(timeout=60)
 
 
-def listening(seconds: float = 60) -> None:
-    """Waits until the controller has its socket."""
-    port, deadline = f":{int(ADDRESS.rpartition(':')[2]):04X}", time.monotonic() + seconds
-    while port not in Path("/proc/net/udp").read_text():
-        assert time.monotonic() < deadline, "the controller does not listen"
+def until(condition: Callable[[], bool], seconds: float = 120) -> None:
+    """Waits for ``condition``."""
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline, "waited in vain"
         time.sleep(0.05)
+
+
+def listening() -> None:
+    """Waits until the controller has its socket."""
+    port = f":{int(ADDRESS.rpartition(':')[2]):04X}"
+    until(lambda: port in Path("/proc/net/udp").read_text())
+
+
+def used(log: Path) -> list[str]:
+    """Lines about updates that a controller has used."""
+    return log.read_text().splitlines()[1:] if log.exists() else []
 
 
 def resident_mib(pid: int) -> float:
@@ -133,11 +145,11 @@ def crowd(graphs: Path, home: Path, options: argparse.Namespace) -> dict:
     """One controller and 100 load generators that replay embeddings."""
     far = start("controller", graphs, "--bind", ADDRESS, "--num_devices", 100, "--report", home / "c.json")
     listening()
-    memory, used, started = [], cpu_seconds(far.pid), time.monotonic()
+    memory, before, started = [], cpu_seconds(far.pid), time.monotonic()
     figures = live_crowd.replay(
         ADDRESS, 100, options.seconds, 256, lambda: memory.append(round(resident_mib(far.pid), 1))
     )
-    share = (cpu_seconds(far.pid) - used) / (time.monotonic() - started)
+    share = (cpu_seconds(far.pid) - before) / (time.monotonic() - started)
     end(far)
     report = json.loads((home / "c.json").read_text())
     return {
@@ -164,8 +176,7 @@ def hostile(graphs: Path, home: Path, options: argparse.Namespace) -> dict:
     relay.start()
     report = home / "d.json"
     near = start("device", graphs, "--controller", relay.address, "--num_devices", 10, "--report", report, *pace)
-    while len(relay.recorded) < 1000:
-        time.sleep(0.1)
+    until(lambda: len(relay.recorded) >= 1000, 600)
     (home / "recorded").write_text("\n".join(data.hex() for data in list(relay.recorded)))
     before = resident_mib(far.pid)
     enemy = [sys.executable, live_crowd.__file__, ADDRESS, str(options.hostile), home / "recorded"]
@@ -191,20 +202,23 @@ def hostile(graphs: Path, home: Path, options: argparse.Namespace) -> dict:
 
 def restart(graphs: Path, home: Path, options: argparse.Namespace) -> dict:
     """The controller is killed and comes back."""
-    far = start("controller", graphs, "--bind", ADDRESS)
+    far = start("controller", graphs, "--bind", ADDRESS, "--log", home / "first.csv")
     listening()
     near = start("device", graphs, "--controller", ADDRESS, "--report", home / "d.json", "--watchdog_ms", 200)
-    time.sleep(15)
+    until(lambda: len(used(home / "first.csv")) > 100)
     far.kill()
     far.wait()
     time.sleep(1)
     again = start("controller", graphs, "--bind", ADDRESS, "--log", home / "log.csv")
-    time.sleep(8)
+    until(lambda: len(used(home / "log.csv")) > 100)
     end(near)
     end(again)
     device = json.loads((home / "d.json").read_text())
-    first = (home / "log.csv").read_text().splitlines()[1].split(",")
-    return {"first_update_used_after_s": float(first[0]), "commands": device["commands"], "watchdog_ms": 200}
+    return {
+        "first_update_used_after_s": float(used(home / "log.csv")[0].split(",")[0]),
+        "commands": device["commands"],
+        "watchdog_ms": 200,
+    }
 
 
 def light(graphs: Path, home: Path, options: argparse.Namespace) -> dict:
@@ -231,13 +245,13 @@ def light(graphs: Path, home: Path, options: argparse.Namespace) -> dict:
     begun = hello() - asked
     child.kill()
     child.wait()
-    far = start("controller", graphs, "--bind", ADDRESS)
+    far = start("controller", graphs, "--bind", ADDRESS, "--log", home / "log.csv")
     listening()
     near = start("device", graphs, *film, "--report", home / "d.json", python=str(python))
-    time.sleep(5)
-    used, clock = cpu_seconds(near.pid), time.monotonic()
+    until(lambda: len(used(home / "log.csv")) > 50)
+    before, clock = cpu_seconds(near.pid), time.monotonic()
     time.sleep(10)
-    share = (cpu_seconds(near.pid) - used) / (time.monotonic() - clock)
+    share = (cpu_seconds(near.pid) - before) / (time.monotonic() - clock)
     memory = resident_mib(near.pid)
     end(near)
     end(far)
