@@ -5,22 +5,10 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+from tsjepa.evaluation import style
 from tsjepa.evaluation.metrics import interval
 from tsjepa.evaluation.search import mean
 
-# Okabe and Ito's colours, told apart by colour-blind readers
-COLORS = {
-    "oracle": "#000000",
-    "channel_aware": "#D55E00",
-    "whittle": "#E69F00",
-    "max_weight": "#999999",
-    "max_age": "#CC79A7",
-    "opportunistic": "#0072B2",
-    "proportional_fair": "#009E73",
-    "round_robin": "#56B4E9",
-    "random": "#8C6D31",
-    "channel_aware_literal": "#5D3A9B",
-}
 DASHED = ("oracle", "whittle", "max_weight")  # these can lie on top of another scheduler's line
 
 
@@ -43,8 +31,7 @@ def capacity_plot(result: dict, path: Path) -> None:
     for point in result["points"]:
         curve = curves.setdefault(point["scheduler"], {})
         curve.setdefault(point["num_devices"], []).append(point["normalized_score"])
-    plt = _pyplot()
-    figure, axis = plt.subplots(figsize=(8, 4.6))
+    figure, (axis,) = style.canvas(width=7, height=5.2)
     order = [row["scheduler"] for row in result["largest"]]
     limits = {row["scheduler"]: row for row in result["largest"]}
     for name in order:
@@ -55,7 +42,7 @@ def capacity_plot(result: dict, path: Path) -> None:
         axis.plot(
             sizes,
             means,
-            color=COLORS.get(name),
+            color=style.color_of(name),
             label=f"{name} ({sign}{limits[name]['largest_num_devices']})",
             linestyle="--" if name in DASHED else "-",
             linewidth=1.6,
@@ -64,39 +51,37 @@ def capacity_plot(result: dict, path: Path) -> None:
         )
         low = [m - h for m, h in zip(means, halves, strict=True)]
         high = [m + h for m, h in zip(means, halves, strict=True)]
-        axis.fill_between(sizes, low, high, color=COLORS.get(name), alpha=0.15, linewidth=0)
+        axis.fill_between(sizes, low, high, color=style.color_of(name), alpha=0.15, linewidth=0)
     axis.axhline(result["acceptable_score"], color="black", linewidth=0.8, linestyle=":")
-    axis.set(xlabel="devices I", ylabel="normalised score", ylim=(-0.03, 1.08))
+    axis.set(xlabel="fleet size I (devices)", ylabel=style.SCORE, ylim=(-0.03, 1.08))
     radio = result["settings"]["radio"]
     axis.set_title(
         f"controller: {result['settings']['controller']}, J = {radio['resource_blocks']}, "
         f"SNR target {radio['snr_target_db']} dB, threshold {radio['snr_threshold_db']} dB",
         fontsize=10,
     )
-    axis.legend(fontsize=8, title="scheduler (largest I)", title_fontsize=8, loc="center left", bbox_to_anchor=(1, 0.5))
-    _save(figure, path)
+    style.legend(figure, [axis], "scheduler (largest I)", columns=3)
+    style.save(figure, path, f"How many devices keep a score of {result['acceptable_score']}?")
 
 
 def device_plot(rows: list[dict], path: Path) -> None:
     """Raw score of every device, sorted, one line a scheduler, beside that of perfect feedback."""
-    plt = _pyplot()
-    figure, axis = plt.subplots(figsize=(6, 3.6))
+    figure, (axis,) = style.canvas(width=6, height=4.2)
     names = list(dict.fromkeys(row["scheduler"] for row in rows))
     perfect = sorted((row["perfect_feedback"] for row in rows if row["scheduler"] == names[0]), reverse=True)
     share = [100 * (index + 0.5) / len(perfect) for index in range(len(perfect))]
     axis.plot(share, perfect, color="black", linewidth=1, linestyle=":", label="perfect feedback")
     for name in names:
         scores = sorted((row["raw_score"] for row in rows if row["scheduler"] == name), reverse=True)
-        axis.plot(share, scores, color=COLORS.get(name), linewidth=1.5, label=name)
-    axis.set(xlabel="devices, best first (%)", ylabel="raw score", ylim=(0, None), xlim=(0, 100))
-    axis.legend(fontsize=8)
-    _save(figure, path)
+        axis.plot(share, scores, color=style.color_of(name), linewidth=1.5, label=name)
+    axis.set(xlabel="devices, best first (%)", ylabel="raw score (0 to 1)", ylim=(0, None), xlim=(0, 100))
+    style.legend(figure, [axis], columns=3)
+    style.save(figure, path, "Does every device get its share?")
 
 
 def age_plot(rows: list[dict], path: Path) -> None:
     """Share of device-slots whose age of information exceeds each value."""
-    plt = _pyplot()
-    figure, axis = plt.subplots(figsize=(6, 3.6))
+    figure, (axis,) = style.canvas(width=6, height=4.2)
     for row in rows:
         total = sum(row["age_counts"])
         older, exceeding = total, []
@@ -107,48 +92,30 @@ def age_plot(rows: list[dict], path: Path) -> None:
             range(1, len(exceeding) + 1),
             exceeding,
             where="mid",
-            color=COLORS.get(row["scheduler"]),
+            color=style.color_of(row["scheduler"]),
             label=f"{row['scheduler']} (mean {row['mean_age']:.1f})",
         )
-    axis.set(
-        xlabel="age of information h (slots)", ylabel="share of device-slots of age ≥ h", yscale="log", xscale="log"
-    )
-    axis.legend(fontsize=8)
-    _save(figure, path)
+    axis.set(xlabel=style.AGE, ylabel="share of device-slots of at least this age (0 to 1)", yscale="log", xscale="log")
+    style.legend(figure, [axis], columns=2)
+    style.save(figure, path, "How old does information get?")
 
 
 def age_growth_plot(result: dict, path: Path) -> None:
     """Mean age of information against time, one line a scheduler and gate."""
-    plt = _pyplot()
-    figure, axis = plt.subplots(figsize=(6.4, 3.8))
+    figure, (axis,) = style.canvas(width=6.4, height=4.4)
     for trace in result["traces"]:
         axis.plot(
             trace["slot"],
             trace["mean_age"],
-            color=COLORS.get(trace["scheduler"]),
+            color=style.color_of(trace["scheduler"]),
             linestyle="-" if trace["snr_gate"] else "--",
             label=f"{trace['scheduler']}, {'with' if trace['snr_gate'] else 'without'} SNR gate",
         )
-    axis.set(xlabel="slot", ylabel="mean age of information (slots)", xscale="log", yscale="log")
+    axis.set(xlabel="time (slots)", ylabel=f"mean {style.AGE}", xscale="log", yscale="log")
     axis.set_title(
         f"I = {result['num_devices']}, J = {result['resource_blocks']}, mean SNR {result['mean_snr_db']} dB, "
         f"threshold {result['snr_threshold_db']} dB",
         fontsize=10,
     )
-    axis.legend(fontsize=8)
-    _save(figure, path)
-
-
-def _pyplot():
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    return plt
-
-
-def _save(figure, path: Path) -> None:
-    figure.tight_layout()
-    figure.savefig(path, dpi=130)
-    _pyplot().close(figure)
+    style.legend(figure, [axis], columns=2)
+    style.save(figure, path, "Does anybody starve?")

@@ -6,28 +6,26 @@ from pathlib import Path
 
 import numpy as np
 
+from tsjepa.evaluation import style
+
 
 def loop_plot(rows: list[dict], path: Path) -> None:
     """Mean score of the starts against time, one panel a controller, one line an update period."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
     controllers = [name for name in dict.fromkeys(row["controller"] for row in rows) if "perfect" not in name]
-    perfect = rows[0]["score_by_slot"]
-    figure, axes = plt.subplots(1, len(controllers), figsize=(4.2 * len(controllers), 3.2), sharey=True, squeeze=False)
-    for axis, name in zip(axes[0], controllers, strict=True):
-        axis.plot(perfect, color="black", linewidth=1, linestyle=":", label="expert, perfect feedback")
+    periods = list(dict.fromkeys(row["update_every"] for row in rows))
+    colors = dict(zip(periods, style.shades(len(periods)), strict=True))
+    figure, axes = style.canvas(columns=len(controllers), width=4.2, height=3.4, sharey=True)
+    for axis, name in zip(axes, controllers, strict=True):
+        axis.plot(rows[0]["score_by_slot"], color="black", linewidth=1, linestyle=":", label="expert, perfect feedback")
         for row in rows:
             if row["controller"] == name:
-                axis.plot(row["score_by_slot"], label=f"update every {row['update_every']}", linewidth=1.4)
-        axis.set(title=name, xlabel="slot", ylim=(0, 1.02))
-        axis.legend(fontsize=7)
-    axes[0][0].set_ylabel("mean score")
-    figure.tight_layout()
-    figure.savefig(path, dpi=130)
-    plt.close(figure)
+                period = row["update_every"]
+                label = f"update {period}" if period == "once" else f"update every {period}"
+                axis.plot(row["score_by_slot"], label=label, color=colors[period], linewidth=1.4)
+        axis.set(title=name, xlabel="time (slots)", ylim=(0, 1.02))
+    axes[0].set_ylabel("mean score (0 to 1)")
+    style.legend(figure, axes)
+    style.save(figure, path, "How rarely may a controller be told?")
 
 
 def horizon_plot(rows: list[dict], optimal_by_slot: list[float], path: Path) -> None:
@@ -38,22 +36,16 @@ def horizon_plot(rows: list[dict], optimal_by_slot: list[float], path: Path) -> 
         optimal_by_slot: mean score of the optimal policy with perfect feedback after each slot.
         path: of the picture.
     """
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
     best = np.cumsum(optimal_by_slot)
     horizon = np.arange(1, len(best) + 1)
     scored = best > 0  # before that there is nothing to divide by
-    figure, axis = plt.subplots(figsize=(5.6, 3.6))
-    axis.axhline(1, color="black", linewidth=1, linestyle=":", label="optimal policy, perfect feedback")
+    figure, (axis,) = style.canvas(width=5.6, height=4.2)
+    axis.axhline(1, color="black", linewidth=1, linestyle="-.", label="optimal policy, perfect feedback")
     for row in rows:
         if row["update_every"] == "once":
-            score = np.cumsum(row["score_by_slot"])[scored] / best[scored]
-            axis.plot(horizon[scored], score, label=row["controller"], linewidth=1.6)
-    axis.set(xlabel="slots since the only update", ylabel="normalised score until then", ylim=(0, None))
-    axis.legend(fontsize=8)
-    figure.tight_layout()
-    figure.savefig(path, dpi=130)
-    plt.close(figure)
+            name, score = row["controller"], np.cumsum(row["score_by_slot"])[scored] / best[scored]
+            look = {"color": style.color_of(name), "linestyle": style.line_of(name), "linewidth": 1.6}
+            axis.plot(horizon[scored], score, label=name, **look)
+    axis.set(xlabel="time since the only update (slots)", ylabel=style.SCORE, ylim=(0, None))
+    style.legend(figure, [axis], columns=2)
+    style.save(figure, path, "How long does one update last?")

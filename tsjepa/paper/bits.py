@@ -85,9 +85,9 @@ def draw(records: list[dict], path: str | Path) -> None:
             rotation=60,
         )
     axis.axhline(ENOUGH, color="black", linewidth=0.8, linestyle=":")
-    axis.set(xlabel="bits per slot", ylabel="normalised score", xscale="log")
-    plots.legend(axis, fontsize=7, loc="center left", bbox_to_anchor=(1, 0.5))
-    plots.save(figure, path)
+    axis.set(xlabel="mean payload (bits per slot)", ylabel=plots.SCORE, xscale="log")
+    plots.legend(figure, [axis])
+    plots.save(figure, path, "How few bits keep one cart-pole up?")
 
 
 def supervised(point: dict) -> bool:

@@ -44,7 +44,7 @@ def evaluate(point: dict) -> list[dict]:
 
 def draw(records: list[dict], path: str | Path) -> None:
     """Command error, bits, score and the horizon of one update."""
-    draw_over(records, path, "train_episodes", "training trajectories")
+    draw_over(records, path, "train_episodes", "training trajectories", "How much data is enough?")
 
 
 def verdicts(records: list[dict]) -> dict[str, Verdict]:

@@ -48,10 +48,10 @@ evaluate = device_rows
 
 def draw(records: list[dict], path: str | Path) -> None:
     """A panel a controller: devices over the SNR, a line a scheduler."""
-    draw_devices(records, path, "snr_target_db", "target SNR (dB)")
+    draw_devices(records, path, "snr_target_db", "target SNR (dB)", "How many devices fit at which SNR?")
 
 
-def draw_devices(records: list[dict], path: str | Path, over: str, name: str) -> None:
+def draw_devices(records: list[dict], path: str | Path, over: str, name: str, question: str) -> None:
     """A panel a label: devices over a field of the points, a line a scheduler."""
     rows = [row for row in flat(records) if "devices" in row]
     labels = [label for label in plots.distinct(rows, "label") if label != CHECK] or [CHECK]
@@ -59,7 +59,8 @@ def draw_devices(records: list[dict], path: str | Path, over: str, name: str) ->
     schedulers = plots.distinct(rows, "scheduler")
     figure, axes = plots.canvas(columns=len(labels), width=3.6)
     for axis, label in zip(axes, labels, strict=True):
-        for color, scheduler in zip(plots.PALETTE, schedulers, strict=False):
+        for scheduler in schedulers:
+            color = plots.color_of(scheduler)
             shown = plots.select(rows, label=label, scheduler=scheduler)
             groups = [(x, plots.select(shown, **{over: x})) for x in sorted(plots.distinct(shown, over))]
             if groups:
@@ -76,9 +77,9 @@ def draw_devices(records: list[dict], path: str | Path, over: str, name: str) ->
     low, high = min(axis.get_ylim()[0] for axis in axes), max(axis.get_ylim()[1] for axis in axes)
     for axis in axes:
         axis.set_ylim(low, high)
-    axes[0].set_ylabel(f"devices per 20 MHz at a score of {ACCEPTABLE}")
-    plots.legend(axes[0], fontsize=8)
-    plots.save(figure, path)
+    axes[0].set_ylabel(f"devices in 20 MHz (at a score of {ACCEPTABLE})")
+    plots.legend(figure, axes, "scheduler")
+    plots.save(figure, path, question)
 
 
 def mark_bounds(axis, groups: list[tuple[float, list[dict]]], color: str) -> None:

@@ -27,7 +27,9 @@ evaluate = devices_encoding.evaluate
 
 def draw(records: list[dict], path: str | Path) -> None:
     """A panel a controller: devices over the loss, a line a scheduler."""
-    devices_encoding.draw_devices(records, path, "loss", "share of packets erased")
+    devices_encoding.draw_devices(
+        records, path, "loss", "packets erased (share)", "How many devices fit when packets are lost?"
+    )
 
 
 def verdicts(records: list[dict]) -> dict[str, Verdict]:

@@ -38,7 +38,7 @@ def points(models: dict, update_every: list[int], sizes: dict) -> list[dict]:
 
 def draw(records: list[dict], path: str | Path) -> None:
     """Command error, bits, score and the horizon of one update."""
-    draw_over(records, path, "dimension", "embedding dimension")
+    draw_over(records, path, "dimension", "numbers in an embedding", "How small may an embedding be?")
 
 
 def verdicts(records: list[dict]) -> dict[str, Verdict]:

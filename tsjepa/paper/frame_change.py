@@ -128,7 +128,8 @@ def draw(records: list[dict], path: str | Path) -> None:
     figure, axes = plots.canvas(columns=2)
     for axis, augmentation in zip(axes, ("none", SHOWN), strict=True):
         shown = plots.select(rows, augmentation=augmentation)
-        for color, interval in zip(plots.PALETTE, plots.distinct(shown, "interval_ms"), strict=False):
+        intervals = plots.distinct(shown, "interval_ms")
+        for color, interval in zip(plots.shades(len(intervals)), intervals, strict=True):
             seeds = plots.select(shown, interval_ms=interval)
             quantiles = torch.tensor([row["quantiles"] for row in seeds], dtype=torch.float64)
             share = [quantile / 100 for quantile in QUANTILES]
@@ -137,12 +138,12 @@ def draw(records: list[dict], path: str | Path) -> None:
                 halves = [plots.interval(column.tolist())[1] for column in quantiles.T]
                 middle = quantiles.mean(0).numpy()
                 axis.fill_betweenx(share, middle - halves, middle + halves, color=color, alpha=0.2, linewidth=0)
-        axis.set(xlabel="MAPE between consecutive frames (%)", ylabel="cumulative share", ylim=(0, 1))
+        axis.set(xlabel="MAPE between consecutive frames (%)", ylabel="pairs of frames (cumulative share)", ylim=(0, 1))
         axis.set_xscale("symlog", linthresh=0.1)
         axis.set_xlim(left=0)
         axis.set_title("without augmentation" if augmentation == "none" else "every frame augmented by itself")
-        plots.legend(axis, fontsize=8, title="sampling interval")
-    plots.save(figure, path)
+    plots.legend(figure, axes, "sampling interval", columns=6)
+    plots.save(figure, path, "How much does a frame change in one interval?")
 
 
 def verdicts(records: list[dict]) -> dict[str, Verdict]:

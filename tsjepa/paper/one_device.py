@@ -60,20 +60,20 @@ def draw(records: list[dict], path: str | Path) -> None:
     """Command error, bits and score: in every slot, sent once over the horizon, and against the update period."""
     rows = flat(records)
     labels = plots.distinct(plots.select(rows, update_every=1), "label")
-    colors = dict(zip(labels, plots.PALETTE, strict=False))
+    colors = {label: plots.color_of(label) for label in labels}
     figure, axes = plots.canvas(columns=3, rows=2, width=4.6)
     fresh = [plots.select(rows, label=label, update_every=1) for label in labels]
     for axis, (measure, name) in zip(
         axes,
         (
-            ("nmae", "command NMAE, update in every slot"),
-            ("bits_per_slot", "bits per slot"),
-            ("score", "normalised score"),
+            ("nmae", plots.NMAE),
+            ("bits_per_slot", "payload (bits per slot)"),
+            ("score", plots.SCORE),
         ),
         strict=False,
     ):
         plots.bars(axis, labels, fresh, measure, list(colors.values()))
-        axis.set(xlabel=name, xscale="log" if measure == "bits_per_slot" else "linear")
+        axis.set(xlabel=name, title="update in every slot", xscale="log" if measure == "bits_per_slot" else "linear")
     for label in labels:
         for between, style in STYLES.items():
             once = plots.select(rows, label=label, update_every=ONCE, between=between)
@@ -103,12 +103,13 @@ def draw(records: list[dict], path: str | Path) -> None:
                     linestyle=STYLES[between],
                     label=f"{label}, {between}",
                 )
-    axes[3].set(xlabel="slots since the only update", ylabel="command NMAE")
-    axes[4].set(xlabel="slots since the only update", ylabel="share of starts in the box")
-    axes[5].set(xlabel="slots between updates", ylabel="normalised score", xscale="log")
-    plots.legend(axes[4], fontsize=5)
-    plots.legend(axes[5], fontsize=5)
-    plots.save(figure, path)
+    axes[3].set(xlabel="time since the only update (slots)", ylabel=plots.NMAE, title="one update: command error")
+    axes[4].set(
+        xlabel="time since the only update (slots)", ylabel="starts in the box (share)", title="one update: score"
+    )
+    axes[5].set(xlabel="time between updates (slots)", ylabel=plots.SCORE, xscale="log", title="rare updates")
+    plots.legend(figure, axes[3:], columns=4)
+    plots.save(figure, path, "What do encoding and prediction give one device?")
 
 
 def verdicts(records: list[dict]) -> dict[str, Verdict]:

@@ -1,34 +1,13 @@
-"""What the plots share: the canvas, colours, and means with their intervals."""
+"""What the plots share: the style, and means with their intervals."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from pathlib import Path
 
 from tsjepa.evaluation.metrics import interval
+from tsjepa.evaluation.style import AGE, NMAE, PALETTE, SCORE, canvas, color_of, legend, line_of, save, shades
 
-# Okabe and Ito's colours, told apart by colour-blind readers
-PALETTE = ("#D55E00", "#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#5D3A9B", "#8C6D31", "#999999")
-
-
-def canvas(columns: int = 1, rows: int = 1, width: float = 5.2, height: float = 3.8):
-    """A figure and its axes, a list row by row."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    figure, axes = plt.subplots(rows, columns, figsize=(width * columns, height * rows), squeeze=False)
-    return figure, list(axes.flat)
-
-
-def save(figure, path: str | Path) -> None:
-    """Writes the picture and frees it."""
-    import matplotlib.pyplot as plt
-
-    figure.tight_layout()
-    figure.savefig(path, dpi=110)
-    plt.close(figure)
+__all__ = ["AGE", "NMAE", "PALETTE", "SCORE", "canvas", "color_of", "legend", "line_of", "save", "shades"]
 
 
 def select(rows: Iterable[dict], **wanted) -> list[dict]:
@@ -82,12 +61,6 @@ def errorbar(axis, groups: Sequence[tuple[float, Sequence[dict]]], measure: str,
         markersize=4,
         **style,
     )
-
-
-def legend(axis, **style) -> None:
-    """A legend, unless nothing is drawn yet."""
-    if axis.get_legend_handles_labels()[0]:
-        axis.legend(**style)
 
 
 def bars(axis, labels: Sequence[str], groups: Sequence[Sequence[dict]], measure: str, colors: Sequence[str]) -> None:

@@ -24,8 +24,9 @@ HEAD = (
 STYLE = """
 body { font: 16px/1.5 system-ui, sans-serif; max-width: 75rem; margin: 2rem auto; padding: 0 1rem; color: #222; }
 table { border-collapse: collapse; width: 100%; font-size: 14px; }
-th, td { border: 1px solid #ccc; padding: .35rem .5rem; text-align: left; vertical-align: top; }
-th { background: #f3f3f3; } img { max-width: 100%; } code { background: #f3f3f3; }
+.wide { overflow-x: auto; } p, li { overflow-wrap: anywhere; }
+th, td { border: 1px solid #ccc; min-width: 5rem; padding: .35rem .5rem; text-align: left; vertical-align: top; }
+th { background: #f3f3f3; } img { max-width: 100%; height: auto; } code { background: #f3f3f3; }
 .reproduced { background: #dff2df; } .partly { background: #fff3cf; } .not { background: #f8d9d6; }
 .not-measured { background: #eee; }
 """
@@ -84,6 +85,21 @@ def tally(verdicts: dict[str, Verdict]) -> str:
     return f"{len(said)} claims, {', '.join(counts)}."
 
 
+def summary(modules: dict[str, ModuleType], verdicts: dict[str, Verdict]) -> list[str]:
+    """One line a figure: how many of its claims came out how."""
+    lines = []
+    for name, module in modules.items():
+        said = [verdicts[key].verdict for key, claim in CLAIMS.items() if claim.figure == name]
+        counts = [f"{said.count(kind)} {kind}" for kind in (REPRODUCED, PARTLY, NOT, UNMEASURED) if kind in said]
+        lines.append(f"{module.TITLE}: {', '.join(counts) or 'no claim'}.")
+    return lines
+
+
+def alternative(module: ModuleType) -> str:
+    """What a picture shows, for those who do not see it."""
+    return f"{module.TITLE}: {module.draw.__doc__.splitlines()[0]}"
+
+
 def origins(records: list[dict]) -> list[str]:
     """The commands that made the results, with commit, date, what has changed since, and number of points."""
     counts: dict[str, int] = {}
@@ -98,7 +114,8 @@ def origins(records: list[dict]) -> list[str]:
 
 def markdown(modules: dict, records: dict, verdicts: dict[str, Verdict], pictures: str) -> str:
     """The page as Markdown; pictures are links."""
-    lines = ["# The paper's figures, ours beside them", "", HEAD, "", "## Verdicts", "", tally(verdicts), ""]
+    lines = ["# The paper's figures, ours beside them", "", HEAD, "", "## In short", ""]
+    lines += [*(f"- {line}" for line in summary(modules, verdicts)), "", "## Verdicts", "", tally(verdicts), ""]
     lines += ["| source | the paper's claim | verdict | our figures | reason |", "|---|---|---|---|---|"]
     for name, claim in CLAIMS.items():
         verdict = verdicts[name]
@@ -108,7 +125,7 @@ def markdown(modules: dict, records: dict, verdicts: dict[str, Verdict], picture
         if not records[name]:
             lines += [f"Nothing recorded yet: `tsjepa figures --config recipes/figures/{name}.yaml --recompute true`."]
             continue
-        lines += [f"![{module.TITLE}]({pictures}/{name}.png)", "", module.CAPTION, ""]
+        lines += [f"![{alternative(module)}]({pictures}/{name}.png)", "", module.CAPTION, ""]
         lines += [
             f"- *{claim.text}* **{verdicts[key].verdict}**: {explained(verdicts[key])}"
             for key, claim in CLAIMS.items()
@@ -126,22 +143,25 @@ def markdown(modules: dict, records: dict, verdicts: dict[str, Verdict], picture
 def page(modules: dict, records: dict, verdicts: dict[str, Verdict], pictures: Path) -> str:
     """The page as one HTML file that needs no other."""
     body = [
-        f"<h1>The paper's figures, ours beside them</h1><p>{code(HEAD)}</p><h2>Verdicts</h2><p>{tally(verdicts)}</p>"
+        f"<h1>The paper's figures, ours beside them</h1><p>{code(HEAD)}</p><h2>In short</h2><ul>",
+        *(f"<li>{code(line)}</li>" for line in summary(modules, verdicts)),
+        f"</ul><h2>Verdicts</h2><p>{tally(verdicts)}</p>",
     ]
-    body.append("<table><tr><th>source<th>the paper's claim<th>verdict<th>our figures<th>reason</tr>")
+    body.append('<div class="wide"><table>')
+    body.append("<tr><th>source<th>the paper's claim<th>verdict<th>our figures<th>reason</tr>")
     for name, claim in CLAIMS.items():
         verdict = verdicts[name]
         cells = [claim.source, claim.text, verdict.verdict, verdict.ours, verdict.reason]
         kind = verdict.verdict.replace(" ", "-")
         body.append(f'<tr class="{kind}">' + "".join(f"<td>{code(cell)}" for cell in cells) + "</tr>")
-    body.append("</table>")
+    body.append("</table></div>")
     for name, module in modules.items():
         body.append(f'<h2 id="{name}">{html.escape(module.TITLE)}</h2>')
         if not records[name]:
             body.append("<p>Nothing recorded yet.</p>")
             continue
         picture = base64.b64encode((pictures / f"{name}.png").read_bytes()).decode()
-        body.append(f'<img alt="{html.escape(module.TITLE)}" src="data:image/png;base64,{picture}">')
+        body.append(f'<img alt="{html.escape(alternative(module))}" src="data:image/png;base64,{picture}">')
         body.append(f"<p>{code(module.CAPTION)}</p><ul>")
         for key, claim in CLAIMS.items():
             if claim.figure == name:

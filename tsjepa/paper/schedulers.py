@@ -44,7 +44,7 @@ def draw(records: list[dict], path: str | Path) -> None:
     rows = flat(records)
     cases, schedulers = plots.distinct(rows, "case"), plots.distinct(rows, "scheduler")
     figure, axes = plots.canvas(columns=3, width=4.6, height=5.5)
-    panels = (("devices", "devices at a score of 0.74"), ("score", "score"), ("mean_age", "mean age (slots)"))
+    panels = (("devices", "devices (at a score of 0.74)"), ("score", plots.SCORE), ("mean_age", f"mean {plots.AGE}"))
     for axis, (measure, name) in zip(axes, panels, strict=True):
         for index, (color, case) in enumerate(zip(plots.PALETTE, cases, strict=False)):
             for place, scheduler in enumerate(schedulers):
@@ -64,13 +64,14 @@ def draw(records: list[dict], path: str | Path) -> None:
                         linestyle="",
                     )
         axis.set_yticks(range(len(schedulers)), schedulers if axis is axes[0] else [])
-        axis.set(xlabel=name if measure == "devices" else f"{name}, {rows[0]['also_at']} devices")
+        title = "capacity" if measure == "devices" else f"{rows[0]['also_at']} devices"
+        axis.set(xlabel=name, title=title)
         axis.invert_yaxis()
         axis.grid(axis="x", alpha=0.3)
     for color, case in zip(plots.PALETTE, cases, strict=False):
         axes[1].plot([], [], "o", color=color, label=case)
-    plots.legend(axes[1], fontsize=7)
-    plots.save(figure, path)
+    plots.legend(figure, axes, "what is known of the channel", columns=6)
+    plots.save(figure, path, "Which scheduler serves most, with what knowledge?")
 
 
 def verdicts(records: list[dict]) -> dict[str, Verdict]:

@@ -97,10 +97,10 @@ def draw(records: list[dict], path: str | Path) -> None:
             plots.errorbar(axes[1], groups, "score", color=color, label=f"{data} in training, {loop}")
         if groups and loop == LOSSLESS:
             plots.errorbar(axes[0], groups, "nmae", color=color, label="thinned in training")
-    axes[0].set(xlabel="target SNR (dB)", ylabel="command NMAE")
-    axes[1].set(xlabel="target SNR (dB)", ylabel="normalised score, update sent in every slot")
-    plots.legend(axes[1], fontsize=7)
-    plots.save(figure, path)
+    axes[0].set(xlabel="target SNR (dB)", ylabel=plots.NMAE, title="command error")
+    axes[1].set(xlabel="target SNR (dB)", ylabel=plots.SCORE, title="score, update sent in every slot")
+    plots.legend(figure, axes, columns=2)
+    plots.save(figure, path, "Does a poor link spoil training or control?")
 
 
 def verdicts(records: list[dict]) -> dict[str, Verdict]:

@@ -131,10 +131,11 @@ def draw(records: list[dict], path: str | Path) -> None:
                 axis.plot(shown["x"][ends], shown["y"][ends], "k.-", linewidth=0.8, markersize=4)
             axis.set_xticks([])
             axis.set_yticks([])
+            axis.set_title(f"{point['label']}, coloured by {value}", fontsize=10)
         axes[column].set_title(
             f"{point['label']}: colour distance {plots.text(record['rows'], 'colour_distance', 2)}", fontsize=10
         )
-    plots.save(figure, path)
+    plots.save(figure, path, "Do neighbours in the embedding see the same scene?")
 
 
 def verdicts(records: list[dict]) -> dict[str, Verdict]:
