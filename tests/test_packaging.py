@@ -42,7 +42,7 @@ TARGETS = [
     "help",
 ]
 TARGETS += ["train-supervised", "train-autoencoder", "figures", "figures-check", "report", "faults", "audit", "bench"]
-TARGETS += ["types", "docs", "wheel"]
+TARGETS += ["types", "docs", "wheel", "zoo"]
 MODULE_NAMES = {
     "cv2": "opencv-python-headless",
     "dm_env": "dm-control",

@@ -203,7 +203,7 @@ def test_the_description_says_what_goes_in_and_comes_out(deployment):
     assert said["graphs"]["receive"]["outputs"] == {"embedding": f"float32 [rows, {d}]", "command": "float32 [rows, 1]"}
     assert said["command"] == ["force (N)"]
     assert (said["command_low"], said["command_high"]) == ([-20.0], [20.0])
-    assert said["plant"] == (model.metrics or {}).get("plant")
+    assert said["plant"] == ((model.metrics or {}).get("plant") or model.plant)
     takes = bool(set_points(model, 1))
     assert said["reference"] == (["x (m)"] if takes else [])
     assert said["graphs"]["receive"]["inputs"].get("reference") == ("float32 [rows, 1]" if takes else None)

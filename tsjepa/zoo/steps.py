@@ -69,6 +69,7 @@ ENTRIES: dict[str, Made] = {
     ),
     "tsjepa-double-cartpole": of_plant("double_cartpole"),
     "tsjepa-reacher": of_plant("reacher"),
+    "tsjepa-pendulum": of_plant("pendulum"),
 }
 
 
