@@ -92,8 +92,10 @@ def run(tmp_path_factory):
 
 
 def test_every_recipe_is_run_below():
-    figures = names("figures")  # in tests/evaluation/figures
-    assert set(names("fit") + names("collect") + names("evaluate") + names("simulate") + figures) == set(tiny.NAMES)
+    figures = names("figures")  # in tests/evaluation/figures; watch in tests/watch
+    assert set(
+        names("fit") + names("collect") + names("evaluate") + names("simulate") + names("watch") + figures
+    ) == set(tiny.NAMES)
 
 
 @pytest.mark.parametrize("name", names("fit"))
@@ -105,9 +107,9 @@ def test_a_fit_leaves_a_model_that_loads_a_checkpoint_and_a_log(run, name):
     assert model.spec.slot == read_metadata(data)["spec"]["slot"]
     home = Path(tiny.exported(recipe)).parent
     assert (home / "checkpoints" / "last.ckpt").is_file()
-    with (home / "metrics.csv").open(newline="") as file:
-        rows = list(csv.DictReader(file))
     if recipe["trainer"].get("limit_val_batches") != 0:
+        with (home / "metrics.csv").open(newline="") as file:
+            rows = list(csv.DictReader(file))
         assert any(key.startswith("val/") and row[key] for row in rows for key in row)
     assert not list(home.rglob("*.partial"))
 
@@ -130,7 +132,10 @@ def test_a_collection_is_whole_and_a_fit_that_finds_none_makes_the_same(run, nam
     recipe = run(name)
     metadata = read_metadata(f"again/{name}")
     assert set(metadata["splits"]) == set(recipe["splits"])
-    run(next(fit for fit in names("fit") if LOADED[fit]["data"]["init_args"]["path"] == recipe["path"]))
+    fits = [fit for fit in names("fit") if LOADED[fit]["data"]["init_args"]["path"] == recipe["path"]]
+    if not fits:  # it is collected for a training that tsjepa zoo train makes of other recipes
+        return
+    run(fits[0])
     assert read_metadata(recipe["path"])["sha256"] == metadata["sha256"]
 
 

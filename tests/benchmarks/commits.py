@@ -136,20 +136,18 @@ def compare(what: str, old: Path, new: Path, rounds: int, precision: str, thread
     """Rates of both, and new over old in each round."""
     from report import spread
 
-    changes = {old: [], new: [*SAME_NETWORK]}
-    contenders = {
-        tree: Contender(
-            tree, [what, "--precision", precision, "--threads", str(threads), *(changes[tree] * (what == "training"))]
-        )
-        for tree in (old, new)
-    }
-    rates = {tree: [] for tree in contenders}
+    started = {"old": (old, []), "new": (new, [*SAME_NETWORK])}
+    contenders = {}
+    for name, (tree, changes) in started.items():
+        words = [what, "--precision", precision, "--threads", str(threads), *(changes if what == "training" else [])]
+        contenders[name] = Contender(tree, words)
+    rates = {name: [] for name in contenders}
     for turn in range(rounds + 1):
-        for tree in (old, new) if turn % 2 else (new, old):
-            rates[tree].append(contenders[tree].rate())
+        for name in ("old", "new") if turn % 2 else ("new", "old"):
+            rates[name].append(contenders[name].rate())
     for contender in contenders.values():
         contender.close()
-    pairs = list(zip(rates[new], rates[old], strict=True))[1:]
+    pairs = list(zip(rates["new"], rates["old"], strict=True))[1:]
     return {
         "new": spread([pair[0] for pair in pairs]),
         "old": spread([pair[1] for pair in pairs]),

@@ -63,7 +63,15 @@ def test_it_trains_loads_is_exported_controls_a_fleet_and_is_deployed(home, caps
         "evaluate", "runs/actor/model", "--output=runs/actor/evaluation", "--starts_per_seed=6", "--periods=[1]", *LOOPS
     )
     run("export", "runs/actor", "mine", "--folder=zoo")
-    run("simulate", "--controller=zoo/mine", "--num_devices=6", "--schedulers=[round_robin]", "--output=fleet", *LOOPS)
+    run(
+        "simulate",
+        "--controller=zoo/mine",
+        "--num_devices=6",
+        "--radio.resource_blocks=3",
+        "--schedulers=[round_robin]",
+        "--output=fleet",
+        *LOOPS,
+    )
     fleet = json.loads((home / "fleet" / "fleet.json").read_text())
     assert fleet["model_sha256"] == entries.fingerprint(home / "zoo" / "mine")
     (row,) = fleet["schedulers"]

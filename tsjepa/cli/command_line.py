@@ -134,7 +134,7 @@ def _answer(command: str, options: list[str], program: str, trusted: bool, as_js
         print(json.dumps({"path": str(result)} if isinstance(result, Path) else result, indent=2))
     elif (step := next_step(command, values, result)) is not None:
         print(f"Next, {step}")
-    return 1 if command == "doctor" and result["mend"] else 0
+    return 1 if command == "doctor" and (result or {}).get("mend") else 0
 
 
 def _help(program: str) -> str:

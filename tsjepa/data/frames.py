@@ -27,6 +27,10 @@ class Frames:
         self.pixels = [torch.from_numpy(pixels.cpu().numpy()).flatten(0, 1) for pixels in self.maps]
         self.bounds = torch.tensor(list(accumulate(map(len, self.pixels), initial=0)))
 
+    def __deepcopy__(self, memo: dict) -> Frames:
+        """Itself: nobody writes to it, and a copy would read every frame into memory."""
+        return self
+
     def __len__(self) -> int:
         return int(self.bounds[-1])
 
