@@ -67,7 +67,7 @@ def test_it_trains_loads_is_exported_controls_a_fleet_and_is_deployed(home, caps
         "simulate",
         "--controller=zoo/mine",
         "--num_devices=6",
-        "--radio.resource_blocks=3",
+        "--radio.resource_blocks=6",
         "--schedulers=[round_robin]",
         "--output=fleet",
         *LOOPS,
