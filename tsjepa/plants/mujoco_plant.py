@@ -53,6 +53,7 @@ class MujocoPlant(Plant):
         self.model, self.spec, self.view, self.random_colors = model, spec, view, random_colors
         self.start_half_widths = _positive("start_half_widths", start_half_widths, model.nq + model.nv)
         self.process_noise_std = _positive("process_noise_std", process_noise_std, model.nv)
+        self._colors_of: tuple | None = None
         place_camera(model, view)
 
     def __getstate__(self) -> dict:
@@ -95,9 +96,16 @@ class MujocoPlant(Plant):
         """Joint positions, then RGB of every moving geom."""
         colors = np.broadcast_to(self.colors.reshape(1, -1), (len(physics), self.colors.size))
         if self.random_colors:
-            parts = [uniforms(seed, COLOR + part, device, episode, count=3) for part in range(len(self.colors))]
-            colors = DARKEST + (1.0 - DARKEST) * np.concatenate(parts, axis=-1)
+            colors = self._drawn_colors(seed, device, episode)
         return np.concatenate([physics[:, : self.model.nq], colors], axis=1).astype(np.float32)
+
+    def _drawn_colors(self, seed: int, device: np.ndarray, episode: np.ndarray) -> np.ndarray:
+        """RGB [N, 3 parts] of an episode; the last ones are kept, because a fleet asks for them in every slot."""
+        wanted = seed, device.tobytes(), episode.tobytes()
+        if self._colors_of != wanted:
+            parts = [uniforms(seed, COLOR + part, device, episode, count=3) for part in range(len(self.colors))]
+            self._colors_of, self._last_colors = wanted, DARKEST + (1.0 - DARKEST) * np.concatenate(parts, axis=-1)
+        return self._last_colors
 
     @functools.cached_property
     def colors(self) -> np.ndarray:
