@@ -9,6 +9,7 @@ import numpy as np
 
 GAP = 5  # intervals: a longer pause is no lost picture any more but another piece
 PAUSE_S = 1.0  # commands may be sent only when they change: a shorter pause between them is no gap
+LISTED = 4  # gaps of an episode that are said one by one
 EPSILON = 1e-3  # of a slot: stamps are rounded (float32, milliseconds)
 
 
@@ -201,7 +202,8 @@ def _runs(
     steps = np.diff(times)
     gaps = steps[steps > gap]
     if len(gaps):
-        notes.append(f"{len(gaps)} gaps of up to {gaps.max():.1f} s split it.")
+        lengths = ", ".join(f"{gap:.1f} s" for gap in gaps) if len(gaps) <= LISTED else f"up to {gaps.max():.1f} s"
+        notes.append(f"{len(gaps)} gaps of {lengths} split it.")
     breaks = (steps > gap) | (steps < 0)
     if further is not None:
         more = further[: len(breaks)] & ~breaks
