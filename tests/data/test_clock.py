@@ -84,7 +84,7 @@ def test_a_gap_and_a_step_back_split_an_episode():
     found = match_clocks(times, times, 120, 120, True, None)
     pieces, notes = cut(found, every_row(found), None, True)
     assert [len(piece.frame) for piece in pieces] == [40, 40, 40]
-    assert "1 gaps of up to 98.0 s" in notes[0] or "1 gaps of up to 98.1 s" in notes[0]
+    assert "1 gaps of 98.0 s" in notes[0] or "1 gaps of 98.1 s" in notes[0]
 
 
 def test_rows_without_a_command_split_an_episode():

@@ -59,7 +59,7 @@ def test_the_humanoids_nested_names_are_flat():
 def test_the_car_is_split_at_its_gaps_and_its_missing_catalogs_are_named(tmp_path):
     report, metadata, splits = imported("recordings/car-tub", tmp_path / "set")
     assert report["format"] == "Donkeycar tub v2"
-    assert any("2 gaps of up to 82.0 s split it" in note for note in report["notes"])
+    assert any("2 gaps of 11.3 s, 82.0 s split it" in note for note in report["notes"])
     skipped = [entry["name"] for entry in report["skipped"]]
     assert [name for name in skipped if "catalog" in name] == [f"catalog_{number}.catalog" for number in range(1, 6)]
     assert any("piece 0" in name for name in skipped)  # two records before the first gap

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import json
+
 import machines
 import numpy as np
 import pytest
 import scipy.linalg
 import torch
+import yaml
 from drive import run
 from recordings import WILD as WILD_FILES
 
+from tsjepa.cli import main
 from tsjepa.plants import MuJoCo, build_plant, describe_plant
 from tsjepa.plants.equilibrium import balancing_gain
 
@@ -195,3 +199,18 @@ def test_the_two_wheeler_is_balanced_once_it_stands_on_its_wheels():
     assert plant.spec.state_dim == 16
     score, failed, final = run(plant, 60, count=4)
     assert failed == 0 and score > 0.8 and np.abs(final[:, 3]).max() < 0.02
+    assert run(MuJoCo(WILD / "scene.xml", **TWO_WHEELS, settle=0.5, expert=None), 60, count=4)[1] == 4  # left alone
+
+
+@wild
+@pytest.mark.slow
+def test_the_two_wheeler_needs_no_python(tmp_path):
+    """A recipe is all: the command line balances it over the chain."""
+    plant = {"class_path": "tsjepa.plants.MuJoCo",
+             "init_args": {"xml": str(WILD / "scene.xml"), **TWO_WHEELS, "settle": 0.5}}  # fmt: skip
+    recipe = {"plant": plant, "num_devices": 2, "schedulers": ["round_robin"], "seeds": 2, "slots": 40, "video": False,
+              "radio": {"resource_blocks": 2, "lossless": True}, "output": str(tmp_path / "fleet")}  # fmt: skip
+    (tmp_path / "two-wheeler.yaml").write_text(yaml.safe_dump(recipe))
+    assert main(["simulate", "--config", str(tmp_path / "two-wheeler.yaml")]) == 0
+    (result,) = json.loads((tmp_path / "fleet" / "fleet.json").read_text())["schedulers"]
+    assert result["failed_share"] == 0 and result["normalized_score"] > 0.9

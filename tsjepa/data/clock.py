@@ -9,6 +9,7 @@ import numpy as np
 
 GAP = 5  # intervals: a longer pause is no lost picture any more but another piece
 PAUSE_S = 1.0  # commands may be sent only when they change: a shorter pause between them is no gap
+LISTED = 4  # gaps of an episode that are said one by one
 EPSILON = 1e-3  # of a slot: stamps are rounded (float32, milliseconds)
 
 
@@ -77,9 +78,9 @@ def match_clocks(
 ) -> Clocks:
     """Puts rows and pictures on the clock of the pictures.
 
-    Where there is a row for every picture (or for all but the last) and their clocks run alike, row i belongs to
-    picture i, and the difference of the clocks is the offset. Where there is not, the stamps are taken as those of one
-    clock if they overlap, else both streams are laid together at their starts.
+    Where there is a row for every picture (or for all but the last), row i belongs to picture i, and the difference of
+    the clocks is the offset; also where the format pairs them and one stream only ends earlier. Where there is not, the
+    stamps are taken as those of one clock if they overlap, else both streams are laid together at their starts.
 
     Args:
         row_times, frame_times: seconds [rows] and [frames], each on its own clock, or None.
@@ -94,7 +95,8 @@ def match_clocks(
     if not rows or not frames:
         raise ValueError(f"it has {rows} rows and {frames} pictures.")
     pairs = min(rows, frames)
-    alike = paired or abs(frames - rows) <= 1
+    equally_many = abs(frames - rows) <= 1
+    alike = equally_many or (paired and row_times is not None and frame_times is not None)
     notes = []
     for times, what in ((row_times, "rows"), (frame_times, "pictures")):
         if times is not None:
@@ -104,6 +106,8 @@ def match_clocks(
     if row_times is None and frame_times is None:
         if not rate_hz:
             raise ValueError("neither its rows nor its pictures have times: say how many a second (--rate_hz).")
+        if not alike:
+            raise ValueError(f"it has {rows} rows and {frames} pictures, and no times that tell which go together.")
         clock = np.arange(max(rows, frames)) / rate_hz
         return Clocks(clock[:rows], clock[:frames], alike, 1 / rate_hz)
     if row_times is None or frame_times is None:
@@ -131,14 +135,16 @@ def match_clocks(
         steps = np.diff(row_times[:pairs])
         breaks = (steps < 0) | (steps > GAP * interval)
         drift = float(np.polyfit(np.arange(pairs), ahead, 1)[0] * pairs) if pairs > 2 and not breaks.any() else 0.0
-        if abs(drift) > interval / 2:
-            notes.append(
-                f"the clocks of rows and pictures drift apart by {1000 * drift:.0f} ms over the episode; row i is "
-                "taken with picture i."
-            )
-        if abs(found) > interval / 20:
-            notes.append(offset_sentence(found, interval))
-        return Clocks(frame_times[:pairs], frame_times, True, interval, found, breaks, notes)
+        if equally_many or abs(drift) <= interval:
+            if abs(drift) > interval / 2:
+                notes.append(
+                    f"the clocks of rows and pictures drift apart by {1000 * drift:.0f} ms over the episode; row i is "
+                    "taken with picture i."
+                )
+            if abs(found) > interval / 20:
+                notes.append(offset_sentence(found, interval))
+            return Clocks(frame_times[:pairs], frame_times, True, interval, found, breaks, notes)
+        notes.append(f"{frames} pictures and {rows} rows come at different rates; they are matched by their times.")
     common = min(row_times.max(), frame_times.max()) - max(row_times.min(), frame_times.min())
     shorter = min(np.ptp(row_times), np.ptp(frame_times))
     found = 0.0 if common > shorter / 2 else float(row_times.min() - frame_times.min())
@@ -201,7 +207,8 @@ def _runs(
     steps = np.diff(times)
     gaps = steps[steps > gap]
     if len(gaps):
-        notes.append(f"{len(gaps)} gaps of up to {gaps.max():.1f} s split it.")
+        lengths = ", ".join(f"{gap:.1f} s" for gap in gaps) if len(gaps) <= LISTED else f"up to {gaps.max():.1f} s"
+        notes.append(f"{len(gaps)} gaps of {lengths} split it.")
     breaks = (steps > gap) | (steps < 0)
     if further is not None:
         more = further[: len(breaks)] & ~breaks

@@ -93,7 +93,7 @@ def read_json(path: Path) -> dict:
     """
     refuse_pointer(path)
     try:
-        value = json.loads(path.read_text(encoding="utf-8", errors="replace"))
+        value = json.loads(read_text(path))
     except ValueError as error:
         raise ValueError(f"{path.name} is no JSON ({error}).") from error
     if not isinstance(value, dict):

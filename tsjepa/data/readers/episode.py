@@ -58,7 +58,7 @@ class Episode:
         notes: what is odd about it, one sentence each.
 
     Raises:
-        ValueError: commands, states and times are not equally many.
+        ValueError: commands, states and times are not equally many, or a row has several times.
     """
 
     name: str
@@ -77,6 +77,8 @@ class Episode:
         for what, column in (("states", self.state), ("times", self.times)):
             if column is not None and len(column) != len(self.action):
                 raise ValueError(f"it has {len(self.action)} commands and {len(column)} {what}.")
+        if self.times is not None and self.times.ndim != 1:
+            raise ValueError(f"its times are of the shape {self.times.shape}; there is one a row.")
 
 
 @dataclass

@@ -8,13 +8,16 @@ from pathlib import Path
 import numpy as np
 
 from tsjepa.data.readers.episode import Episode, Frames, Skipped, Streams, attempt
+from tsjepa.data.readers.lerobot_pictures import has_pictures, picture_folders, row_pictures
 from tsjepa.data.readers.names import flat_names, units_of
-from tsjepa.data.readers.pictures import CodedPictures, natural
+from tsjepa.data.readers.pictures import natural, picture_files
 from tsjepa.data.readers.video import Video
+from tsjepa.support.delimited import NUMBER
 from tsjepa.support.foreign import optional, refuse_pointers
 from tsjepa.support.tables import parquet_rows, read_json, read_table
 
 PREFIX = "observation.images."
+KEYS = {"action": ("action", "actions"), "state": ("observation.state", "state", "observation.states")}
 
 
 class LeRobotFiles:
@@ -27,6 +30,7 @@ class LeRobotFiles:
         refuse_pointers(self.data_files)
         self.info = read_json(path / "meta" / "info.json")
         self.video_files = [file for file in files if file.suffix == ".mp4"]
+        self.folders = picture_folders(path, files)
         version = str(self.info.get("codebase_version") or "")
         self.features = self.info.get("features")
         self.features = self.features if isinstance(self.features, dict) else {}
@@ -37,8 +41,14 @@ class LeRobotFiles:
                 + (f", and its info.json names no {' and no '.join(lack)}" if lack else "")
                 + "; without commands there is nothing to import."
             )
-        self.columns = self._columns()
+        self.columns, self.picture_columns = self._columns()
+        self.keys = {kind: getattr(streams, kind) or self._default_keys(kind) for kind in KEYS}
         layout = "v3.0" if (path / "meta" / "episodes").is_dir() else "v2.1"
+        if layout == "v2.1" and not any(file.stem.startswith("episode_") for file in self.data_files):
+            raise ValueError(
+                f"{path} has no meta/episodes, and its rows are in {self.data_files[0].name} instead of a file an "
+                "episode: nobody can tell where an episode starts in a video."
+            )
         known = version.startswith(("v2.", "v3."))
         if not known:
             self.notes.append(
@@ -49,6 +59,7 @@ class LeRobotFiles:
         self.has_v3_layout = layout == "v3.0"
         self.format = f"LeRobot {version if known and version[:2] == layout[:2] else layout}"
         rate = self.info.get("fps")
+        rate = float(rate) if isinstance(rate, str) and NUMBER.fullmatch(rate) else rate
         self.rate_hz = float(rate) if isinstance(rate, (int, float)) and 0 < rate < 1e6 else None
         if self.rate_hz is None:
             self.notes.append(f"info.json claims {rate!r} frames a second.")
@@ -57,16 +68,27 @@ class LeRobotFiles:
         taken = {*self.wanted_columns(), self.camera}
         self.others = [name for name in dict.fromkeys([*self.columns, *self.cameras]) if name not in taken]
 
-    def _columns(self) -> list[str]:
-        """Columns of the first file that can be read."""
+    def _columns(self) -> tuple[list[str], list[str]]:
+        """Columns of the first file that can be read, and those of them that hold pictures."""
         failed = None
         for file in self.data_files:
             try:
                 parquet_rows(file)
-                return optional("pyarrow.parquet").read_schema(file).names
+                schema = optional("pyarrow.parquet").read_schema(file)
+                return schema.names, [field.name for field in schema if has_pictures(field.type)]
             except ValueError as error:
                 failed = failed or error
         raise failed
+
+    def _default_keys(self, kind: str) -> list[str]:
+        """Columns of the command or the state: the usual one, or its parts, each a column."""
+        for key in KEYS[kind]:
+            if key in self.columns:
+                return [key]
+            if parts := [name for name in self.columns if name.startswith(key + ".")]:
+                self.notes.append(f"Its {kind} is in the columns {', '.join(parts)}.")
+                return parts
+        return []
 
     def _cameras(self) -> list[str]:
         there = dict.fromkeys(
@@ -74,7 +96,8 @@ class LeRobotFiles:
         )
         for file in self.video_files:  # a camera that only the folders know
             there.update(dict.fromkeys(part for part in file.relative_to(self.path).parts if part.startswith(PREFIX)))
-        there.update(dict.fromkeys(name for name in self.columns if name in self._declared()))
+        there.update(dict.fromkeys(camera for camera, _ in self.folders))
+        there.update(dict.fromkeys(self.picture_columns))
         for name, feature in self._declared().items():
             if name not in there:
                 shape = feature.get("shape")
@@ -93,13 +116,20 @@ class LeRobotFiles:
         if not self.cameras:
             raise ValueError(f"{self.path} has no pictures: no MP4 under videos/ and no column of images.")
         if wanted is None:
+            taken = max(self.cameras, key=self._files_of)  # the first of those that miss the fewest episodes
             if len(self.cameras) > 1:
-                self.notes.append(f"It has the cameras {', '.join(self.cameras)}; the first is taken.")
-            return self.cameras[0]
+                self.notes.append(f"It has the cameras {', '.join(self.cameras)}; {taken} is taken.")
+            return taken
         for name in (wanted, PREFIX + wanted):
             if name in self.cameras:
                 return name
         raise ValueError(f"There is no camera {wanted}; the files have {', '.join(self.cameras)}.")
+
+    def _files_of(self, camera: str) -> int:
+        """How many files hold the pictures of a camera."""
+        if camera in self.picture_columns:
+            return len(self.data_files)
+        return sum(camera in file.parts for file in self.video_files) + sum(key[0] == camera for key in self.folders)
 
     def episodes(self) -> Iterator[Episode | Skipped]:
         """The episodes that have rows and pictures; the others by name, with the reason."""
@@ -110,14 +140,13 @@ class LeRobotFiles:
         """An episode from its rows and its pictures."""
         names = {}
         values = {}
-        for kind, default in (("action", ["action"]), ("state", ["observation.state"])):
-            wanted = getattr(self.streams, kind) or [key for key in default if key in table]
+        for kind, wanted in self.keys.items():
             missing = [key for key in wanted if key not in table]
             if missing:
-                raise ValueError(f"its rows have no column {', '.join(missing)}; they have {', '.join(table)}.")
+                raise ValueError(f"its rows have no column {', '.join(missing)}; they have {', '.join(self.columns)}.")
             names[kind], values[kind] = self._values(wanted, table)
         if not names["action"]:
-            raise ValueError(f"its rows have no column action; they have {', '.join(table)}.")
+            raise ValueError(f"its rows have no column action; they have {', '.join(self.columns)} (--action).")
         times = table.get(self.streams.time or "timestamp")
         episode = Episode(
             name=name,
@@ -167,13 +196,14 @@ class LeRobotFiles:
         """Pictures of one episode: of the video from frame ``first`` on, or of the rows' own column."""
         if file is not None:
             return Video(file, first, len(rows) if first or self.has_v3_layout else None)
-        return row_pictures(rows_file, self.camera, rows)
+        if self.camera in self.picture_columns:
+            return row_pictures(self.path, rows_file, self.camera, rows)
+        return picture_files(self.folders[self.camera, rows_file.stem])
 
     def wanted_columns(self) -> list[str]:
         """Columns that an episode needs, without the pictures."""
-        streams = self.streams
-        keys = [*(streams.action or ["action"]), *(streams.state or ["observation.state"])]
-        keys += [streams.time or "timestamp", "episode_index", "frame_index", "index"]
+        keys = [*self.keys["action"], *self.keys["state"]]
+        keys += [self.streams.time or "timestamp", "episode_index", "frame_index", "index"]
         return [key for key in dict.fromkeys(keys) if key in self.columns]
 
     def read_rows(self, file: Path) -> dict[str, np.ndarray]:
@@ -185,25 +215,11 @@ class LeRobotFiles:
         there = optional("pyarrow.parquet").read_schema(file).names if parquet_rows(file) else []
         if not there:
             raise ValueError(f"{file.name} holds no rows.")
-        return read_table(file, [key for key in self.wanted_columns() if key in there])
+        table = read_table(file, [key for key in self.wanted_columns() if key in there])
+        values = {*self.keys["action"], *self.keys["state"]}
+        return {key: column if key in values else _single(column) for key, column in table.items()}
 
 
-def row_pictures(file: Path, column: str, rows: np.ndarray) -> CodedPictures:
-    """Pictures that stand in a Parquet column as coded bytes, one row group in memory at a time."""
-    parquet = optional("pyarrow.parquet").ParquetFile(file)
-    ends = np.cumsum([parquet.metadata.row_group(group).num_rows for group in range(parquet.num_row_groups)])
-    loaded: dict[int, list] = {}
-
-    def fetch(index: int) -> tuple[bytes, str]:
-        row = int(rows[index])
-        group = int(np.searchsorted(ends, row, side="right"))
-        if group not in loaded:
-            loaded.clear()
-            loaded[group] = parquet.read_row_group(group, columns=[column])[column].to_pylist()
-        cell = loaded[group][row - (int(ends[group - 1]) if group else 0)]
-        data = cell.get("bytes") if isinstance(cell, dict) else cell
-        if not isinstance(data, bytes):
-            raise ValueError(f"row {row} of {file.name} has no picture in {column}.")
-        return data, f"row {row} of {file.name}"
-
-    return CodedPictures(len(rows), fetch, "coded in the rows")
+def _single(column: np.ndarray) -> np.ndarray:
+    """Numbers [rows] of a column that some writers fill with lists of one number."""
+    return column.ravel() if column.ndim == 2 and column.shape[1] == 1 else column

@@ -26,7 +26,8 @@ def list_episodes(recording: LeRobotFiles) -> list[tuple[str, Callable[[], Episo
     episodes: list[tuple[str, Callable[[], Episode] | Skipped]] = []
     for number, file in sorted(rows.items()):
         name = f"episode {number}"
-        if recording.camera not in recording.columns and number not in videos:
+        pictures = recording.camera in recording.picture_columns or (recording.camera, file.stem) in recording.folders
+        if not pictures and number not in videos:
             why = f"it has rows and no video of {recording.camera}."
             episodes.append((name, Skipped(name, why)))
             continue

@@ -91,10 +91,13 @@ def _start(recording: LeRobotFiles, entries: dict[int, dict], video: Path, numbe
     key = f"videos/{recording.camera}/from_timestamp"
     numbers = [other for other in entries if _video(recording, entries[other]) == video]
     numbers.sort(key=lambda other: float(entries[other].get(key, 0)))
-    counted = np.cumsum([0, *(int(entries[other].get("length", 0)) for other in numbers)])
+    lengths = [_length(entries[other]) for other in numbers]
     times = video_index(video).times
     half = np.median(np.diff(times)) / 2 if len(times) > 1 else 0.0
     stamped = int(np.searchsorted(times, float(entries[number].get(key, 0)) - half))
+    if None in lengths:
+        return stamped
+    counted = np.cumsum([0, *lengths])
     if counted[-1] != len(times):
         recording.note(
             f"{video.name} holds {len(times)} pictures and its episodes have {counted[-1]} rows; their starts are "
@@ -107,12 +110,21 @@ def _start(recording: LeRobotFiles, entries: dict[int, dict], video: Path, numbe
     return start
 
 
+def _length(entry: dict) -> int | None:
+    """Rows of an episode as the metadata count them, or None."""
+    if "length" in entry:
+        return int(entry["length"])
+    if "dataset_from_index" in entry and "dataset_to_index" in entry:
+        return int(entry["dataset_to_index"]) - int(entry["dataset_from_index"])
+    return None
+
+
 def _read(recording: LeRobotFiles, entries: dict, rows_of: Callable, number: int) -> Episode:
     entry = entries[number]
     claimed = _file(recording, entry, "data_path", "data")
     file, table, rows = rows_of(number, claimed)
     part = {key: column[rows] for key, column in table.items()}
-    if recording.camera in recording.columns:
+    if recording.camera in recording.picture_columns:
         episode = recording.make(f"episode {number}", part, lambda: recording.pictures(None, file, rows))
     else:
         video = _video(recording, entry)

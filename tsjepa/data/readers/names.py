@@ -48,11 +48,13 @@ def units_of(names: Sequence[str]) -> list[str]:
 
 
 def flat_names(names: object, width: int, stem: str) -> list[str]:
-    """Names of ``width`` columns from a (nested) list or a dict of lists; ``stem_0``, ... where they do not fit."""
+    """Names of ``width`` columns from a (nested) list, a dict of lists or of places; else ``stem_0``, ..."""
     flat: list[str] = []
 
     def add(item: object) -> None:
-        if isinstance(item, dict):
+        if isinstance(item, dict) and item and all(type(value) is int for value in item.values()):
+            flat.extend(map(str, sorted(item, key=item.get)))  # names with their places
+        elif isinstance(item, dict):
             for value in item.values():
                 add(value)
         elif isinstance(item, (list, tuple)):
