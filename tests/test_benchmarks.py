@@ -274,13 +274,17 @@ def test_downlink(tmp_path, script, monkeypatch):
     main_of(downlink, monkeypatch, *small)
     found = json.loads((tmp_path / "downlink.json").read_text())["rows"]
     assert [(row["silent_slots"], row["loss"]) for row in found] == [(0, 0), (2, 0), (0, 0.3)]
-    scores = [{name: mean for name, (mean, _) in row["scores"].items()} for row in found]
+    scores = [{name: sum(values) / 2 for name, values in row["scores"].items()} for row in found]
     assert {name.split(", ")[1] for name in scores[0]} == {"hold", "buffer of 4"}
     # the true state's linear prediction is nearly exact without noise, so that a buffer loses nothing
     for name in ("true state, buffer of 4", "true state, hold"):
         assert scores[0][name] > 0.5
     assert abs(scores[1]["true state, buffer of 4"] - scores[0]["true state, hold"]) < 0.1
-    assert (tmp_path / "downlink.md").read_text().count("\n| ") == 1 + len(found)
+    scored, differs = (tmp_path / "downlink.md").read_text().split("## ")[1:]
+    for part, first in ((scored, f"{scores[0]['true state, hold']:.3f}"), (differs, "+0.000 ± 0.000")):
+        lines = [line.split(" | ") for line in part.splitlines() if line.startswith("| ")]
+        assert len(lines) == 1 + len(found)
+        assert lines[1][lines[0].index("true state, hold")].startswith(first)
 
 
 def test_peers_that_are_not_installed_are_left_out_with_the_reason(script):

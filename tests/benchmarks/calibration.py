@@ -1,7 +1,7 @@
 """Whether predicted success is what happens, and whether knowing the channel helps control.
 
     python tests/benchmarks/calibration.py              # about a minute of one core
-    python tests/benchmarks/calibration.py --control    # and the closed loops, some ten minutes
+    python tests/benchmarks/calibration.py --control    # and the closed loops, ten minutes
 
 For every kind of knowledge and of channel: the success that channel_aware is told of the devices that it schedules, and
 the share that is delivered (8 networks of 60 devices, 6 blocks, 300 slots after 100; mean SNR 10 dB, threshold 5 dB).
@@ -79,10 +79,10 @@ def control(csi: str, name: str, seeds: range) -> dict:
     return {"num_devices": FLEET[name]} | means | {"difference": mean, "interval_95": half}
 
 
-def table(rows: list[dict], first_seed: int = 0) -> str:
+def table(rows: list[dict], seeds: range) -> str:
     """The rows in Markdown; the closed loops only where they were run."""
     looped = "control" in rows[0]
-    options = f" --control --first-seed {first_seed}" if looped else ""
+    options = f" --control --seeds {len(seeds)} --first-seed {seeds.start}" if looped else ""
     text = (
         f"`python tests/benchmarks/calibration.py{options}`. Success that channel_aware is told of the "
         "devices that it schedules, and the share that is delivered: 8 networks of 60 devices, 6 blocks, mean SNR 10 "
@@ -114,21 +114,21 @@ def _line(cells: list[str]) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--control", action="store_true", help="run the closed loops too")
-    parser.add_argument("--seeds", type=int, default=6, help="of the closed loops")
+    parser.add_argument("--seeds", type=int, default=30, help="of the closed loops")
     parser.add_argument("--first-seed", type=int, default=0, help="of the closed loops")
     parser.add_argument("--output", type=Path, default=RESULTS, help="folder of the results")
     arguments = parser.parse_args()
-    rows, first = [], arguments.first_seed
+    rows, seeds = [], range(arguments.first_seed, arguments.first_seed + arguments.seeds)
     for name, channel in CHANNELS.items():
         for csi in KNOWLEDGE:
             row = {"csi": csi, "channel": name} | calibration(csi, channel)
             if arguments.control:
-                row["control"] = control(csi, name, range(first, first + arguments.seeds))
+                row["control"] = control(csi, name, seeds)
             rows.append(row)
-            print(table(rows, first).splitlines()[-1], flush=True)
+            print(table(rows, seeds).splitlines()[-1], flush=True)
     result = {"made_by": provenance(), "rows": rows}
     write_text(arguments.output / "calibration.json", json.dumps(result, indent=1) + "\n")
-    write_text(arguments.output / "calibration.md", table(rows, first))
+    write_text(arguments.output / "calibration.md", table(rows, seeds))
 
 
 if __name__ == "__main__":
