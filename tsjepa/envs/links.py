@@ -30,7 +30,7 @@ def links(radio: Radio, num_devices: int, slots: int, slot_s: float, seed: int =
     if "erased" in played:
         values["lost"] = played["erased"].double()
     device, slot = torch.arange(num_devices).unsqueeze(-1), torch.arange(slots)
-    if radio.delay == "trace":
+    if isinstance(radio.delay, str):  # "trace"
         values["delay_ms"] = played["delay_ms"]
     elif radio.delay is not None:
         drawn = radio.delay.draw(seed, device, torch.zeros_like(device), slot)

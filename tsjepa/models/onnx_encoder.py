@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -46,11 +47,13 @@ class OnnxEncoder(nn.Module):
     ) -> None:
         super().__init__()
         at_least(1, frame_stack=frame_stack)
-        self.frame_stack, self.height, self.width, self.embedding_dim = frame_stack, height, width, embedding_dim
+        self.frame_stack, self.embedding_dim = frame_stack, embedding_dim
+        self.height, self.width = height or 0, width or 0  # 0 is left to the graph
         # buffers, because an average of a module without any tensor is an error of torch's
         self.register_buffer("mean", torch.tensor(PIXEL_MEAN), persistent=False)
         self.register_buffer("std", torch.tensor(PIXEL_STD), persistent=False)
-        self._graph, self._session = b"", None
+        self._graph = b""
+        self._session: Any = None
         if path is not None:
             if not Path(path).is_file():
                 raise FileNotFoundError(f"There is no ONNX file {path}.")
@@ -124,7 +127,7 @@ class OnnxEncoder(nn.Module):
         for size, value in found.items():
             if isinstance(value, int):
                 setattr(self, size, value)
-            elif getattr(self, size) is None:
+            elif not getattr(self, size):
                 raise ValueError(f"{name} leaves its {size} open: give the encoder's {size} in pixels.")
         self._session = session
 

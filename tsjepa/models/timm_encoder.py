@@ -41,7 +41,7 @@ class TimmEncoder(nn.Module):
         options: dict[str, Any] | None = None,
     ) -> None:
         super().__init__()
-        self.init_args = {
+        self.init_args: dict[str, Any] = {
             "backbone": backbone, "embedding_dim": embedding_dim, "frame_stack": frame_stack, "height": height,
             "width": width, "pretrained": False, "options": dict(options or {}),
         }  # fmt: skip

@@ -58,7 +58,8 @@ def read_log(path: Path, columns: dict[str, str], period_s: float | None = None)
     if any(REPLY.search(line) for line in lines[:50]):
         return reply_log(lines, period_s or 1.0)
     if any(IPERF.search(line) for line in lines):
-        return iperf_log([tuple(map(float, match.groups())) for line in lines if (match := IPERF.search(line))])
+        matches = [match for line in lines if (match := IPERF.search(line))]
+        return iperf_log([(float(m[1]), float(m[2]), float(m[3]), float(m[4])) for m in matches])
     if SIGNAL.search(text) and ("SSID" in text or "Station " in text):
         blocks = [block for block in re.split(r"(?=Connected to|Not connected|Station )", text) if block.strip()]
         if period_s is None and len(blocks) > 1:

@@ -27,22 +27,19 @@ def packet_log(name: str, rows: list[dict], sequence: str, notes: list[str]) -> 
         raise ValueError(f"{name} has sequence numbers and no time among {', '.join(rows[0])}.")
     stamps = [nanoseconds([row.get(key) for row in rows], key) if key else [0] * len(rows)
               for key in (sent_key, received_key)]  # fmt: skip
-    numbers, sent, received = [], [], []
-    for row, *moments in zip(rows, *stamps, strict=True):
-        number = integer(row.get(sequence))
-        if number is not None and None not in moments:
-            numbers.append(number), sent.append(moments[0]), received.append(moments[1])
-    if not numbers:
+    cells = zip([integer(row.get(sequence)) for row in rows], *stamps, strict=True)
+    packets = np.array([packet for packet in cells if None not in packet], np.int64)
+    if not len(packets):
         raise ValueError(f"{name} holds no packet with a number and a time.")
-    if len(numbers) < len(rows):
-        notes.append(f"{len(rows) - len(numbers)} rows have no number or time and are left out.")
-    numbers, first = np.unique(np.array(numbers, np.int64), return_index=True)
-    if len(first) < len(sent):
-        notes.append(f"{len(sent) - len(first)} packets were received twice; the first counts.")
+    if len(packets) < len(rows):
+        notes.append(f"{len(rows) - len(packets)} rows have no number or time and are left out.")
+    numbers, first = np.unique(packets[:, 0], return_index=True)
+    if len(first) < len(packets):
+        notes.append(f"{len(packets) - len(first)} packets were received twice; the first counts.")
     span = int(numbers[-1] - numbers[0]) + 1
     if span > 1000 * len(numbers) + 1000:
         raise ValueError(f"the sequence numbers of {name} run over {span} for {len(numbers)} packets: are they such?")
-    sent, received = np.array(sent, np.int64)[first], np.array(received, np.int64)[first]
+    sent, received = packets[first, 1], packets[first, 2]
     clock = sent if sent_key else received
     time = (clock - clock[0]) * 1e-9
     steps = np.diff(numbers)

@@ -29,8 +29,8 @@ DASH = {"-", "--", "—", "*", "n/a", "N/A"}
 def text_table(path: Path, lines: list[str]) -> Table:
     """Words separated by commas, semicolons, tabs or blanks; extra fields without a name are left out and named."""
     lines = without_comments(lines)
-    delimiter = delimiter_of(lines[0])
-    if delimiter not in lines[0]:
+    delimiter: str | None = delimiter_of(lines[0])
+    if delimiter is not None and delimiter not in lines[0]:
         delimiter = None
     names = [name.strip().strip('"') for name in lines[0].split(delimiter) if name.strip()]
     if len(names) < 2 or len(lines) < 2 or len(set(names)) < len(names):
@@ -118,8 +118,8 @@ def _cells(cells: np.ndarray, name: str, notes: list[str]) -> tuple[np.ndarray, 
     words = [str(cell).strip() if cell is not None else "" for cell in cells]
     dashes = np.array([word in DASH for word in words])
     if dashes.sum() < len(words):
-        words = decimal_points([None if dash else word for word, dash in zip(words, dashes, strict=True)])
-        words = ["-" if word is None else word for word in words]
+        pointed = decimal_points([None if dash else word for word, dash in zip(words, dashes, strict=True)])
+        words = ["-" if word is None else word for word in pointed]
     if all(word.lstrip("-").isdigit() for word in words):
         return np.array([int(word) for word in words]), dashes
     numbers = np.full(len(words), np.nan)

@@ -43,7 +43,7 @@ def ping_log(lines: list[str], period: float) -> Log:
     notes = [f"{twice} answers came twice; the first counts."] if twice else []
     if len(stamps) > 1:
         known = np.array(sorted(stamps))
-        time = np.interp(span, known, [stamps[int(number)] for number in known])
+        time: np.ndarray = np.interp(span, known, [stamps[int(number)] for number in known])
         period = float(np.median(np.diff(time)))
     else:
         time = span * period
@@ -54,13 +54,13 @@ def ping_log(lines: list[str], period: float) -> Log:
 
 def reply_log(lines: list[str], period: float) -> Log:
     """What ping prints on Windows: answers without numbers, in their order; a request that timed out is lost."""
-    delay = []
+    answers = []
     for line in lines:
         if match := REPLY.search(line):
-            delay.append(float(match[1]))
+            answers.append(float(match[1]))
         elif REPLY_LOST.search(line):
-            delay.append(np.nan)
-    delay = np.array(delay)
+            answers.append(np.nan)
+    delay = np.array(answers)
     columns = {"delay_ms": delay, "lost": np.isnan(delay).astype(float)}
     notes = [f"The log has no times: {period:g} s from one ping to the next are taken.", "The delays are round trips."]
     return Log("ping", period * np.arange(len(delay)), columns, period, notes)

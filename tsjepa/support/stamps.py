@@ -53,14 +53,21 @@ def dates(words: np.ndarray) -> np.ndarray:
     Raises:
         ValueError: one of them is no date.
     """
-    zones = [ZONE.fullmatch(str(word).strip()) for word in words]
     try:
-        bare = [match[1].replace(" ", "T").replace("/", "-") for match in zones]
+        found = [_date(str(word)) for word in words]
+        bare = [match[1].replace(" ", "T").replace("/", "-") for match in found]
         stamps = np.array(bare, dtype="datetime64[ns]").astype(np.int64)
-    except (TypeError, ValueError) as error:
+    except ValueError as error:
         raise ValueError("a column of times holds words instead of numbers or dates.") from error
-    minutes = [0 if match[2] is None else int(match[2] + match[3]) * 60 + int(match[2] + match[4]) for match in zones]
+    minutes = [0 if match[2] is None else int(match[2] + match[3]) * 60 + int(match[2] + match[4]) for match in found]
     return stamps - np.array(minutes, np.int64) * 60 * 10**9
+
+
+def _date(word: str) -> re.Match[str]:
+    match = ZONE.fullmatch(word.strip())
+    if match is None:
+        raise ValueError(f"{word} is no date.")
+    return match
 
 
 def since_1970(typical: float) -> float | None:
