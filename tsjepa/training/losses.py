@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -20,7 +21,7 @@ class LossTerm:
         weight: by which it is multiplied.
     """
 
-    function: Callable[[Tensor, Tensor, Tensor], Tensor]
+    function: Callable[[Tensor, Tensor, Tensor], Any]  # the parser refuses one without annotations where it is Tensor
     weight: float = 1.0
 
 
