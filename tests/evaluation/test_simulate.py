@@ -50,6 +50,19 @@ def test_a_fleet_from_its_recipe(tmp_path, capsys):
 
 
 @pytest.mark.slow
+def test_a_scheduler_of_ones_own_by_its_import_path(tmp_path, capsys, monkeypatch):
+    program = "from tsjepa.radio import SCHEDULERS\n\n\ndef patient(known):\n    return SCHEDULERS['max_age'](known)\n"
+    (tmp_path / "my_waiting_list.py").write_text(program)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    options = ["--num_devices=4", "--schedulers=[my_waiting_list.patient, max_age]", "--video=false"]
+    assert simulate(tmp_path, "fleet.yaml", *options) == 2
+    assert "my_waiting_list.patient is not this package's own: add --trust" in capsys.readouterr().err
+    assert simulate(tmp_path, "fleet.yaml", *options, "--trust") == 0
+    own, built_in = json.loads((tmp_path / "fleet.json").read_text())["schedulers"]
+    assert own == built_in | {"scheduler": "my_waiting_list.patient"}
+
+
+@pytest.mark.slow
 def test_a_search_from_its_recipe(tmp_path, capsys):
     options = ["--search_over=[2, 5]", "--schedulers=[round_robin, none]", "--controller=linear"]
     assert simulate(tmp_path, "fleet-search.yaml", *options) == 0

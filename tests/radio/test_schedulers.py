@@ -205,6 +205,12 @@ def test_bad_input_is_rejected():
     known = random_case(9, cases=1)
     with pytest.raises(ValueError, match="unknown scheduler 'fifo'"):
         get_scheduler("fifo")
+    with pytest.raises(ValueError, match="a function of one argument, known, not '--trust'"):
+        get_scheduler("tsjepa.support.trust.TRUST")
+    with pytest.raises(ValueError, match=r"scheduler os\.getcwd is not this package's own: add --trust"):
+        get_scheduler("os.getcwd")
+    with pytest.raises(ValueError, match=r"scheduler tsjepa\.radio\.fifo cannot be imported"):
+        get_scheduler("tsjepa.radio.fifo")
     with pytest.raises(ValueError, match="aoi_reset"):
         channel_aware(known, aoi_reset="never")
     with pytest.raises(ValueError, match="unknown age_growth"):

@@ -66,13 +66,14 @@ def device_rows(scheduler: str, runs: list[Run], optimal: Tensor) -> list[dict]:
 def table(rows: list[dict]) -> str:
     """The rows as aligned text."""
     spent = "joules_per_update" in rows[0]
+    width = max(24, *(len(row["scheduler"]) + 1 for row in rows))
     lines = [
-        f"{'scheduler':<24}{'score':>15}{'failed':>9}{'age':>7}{'age 95 %':>10}{'delivered':>11}{'used':>7}"
+        f"{'scheduler':<{width}}{'score':>15}{'failed':>9}{'age':>7}{'age 95 %':>10}{'delivered':>11}{'used':>7}"
         f"{'bit/device/slot':>17}" + f"{'mJ/update':>12}" * spent
     ]
     for row in rows:
         lines.append(
-            f"{row['scheduler']:<24}{row['normalized_score']:>7.3f} ± {row['interval_95']:.3f}"
+            f"{row['scheduler']:<{width}}{row['normalized_score']:>7.3f} ± {row['interval_95']:.3f}"
             f"{row['failed_share']:>9.1%}{row['mean_age']:>7.2f}{row['age_95_percentile']:>10.0f}{row['delivery_rate']:>11.1%}"
             f"{row['utilisation']:>7.0%}{row['bits_per_device_and_slot']:>17.1f}"
             + (_millijoules(row["joules_per_update"]) if spent else "")

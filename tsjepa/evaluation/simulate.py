@@ -80,7 +80,8 @@ def simulate(
 
     Args:
         num_devices: I, or None for the search alone.
-        schedulers: names in tsjepa.radio.SCHEDULERS; in Python also functions. The film shows the first two.
+        schedulers: names in tsjepa.radio.SCHEDULERS, or import paths of functions of your own; in Python also the
+            functions. The film shows the first two.
         controller: one of tsjepa.envs.make.ON_STATE, such as "hold" (the expert on the received state, its command held
             between updates), or a model by name or folder.
         radio: uplink and downlink.

@@ -19,6 +19,7 @@ from tsjepa.radio.grant import grant
 from tsjepa.radio.knowledge import Known
 from tsjepa.radio.need import channel_aware_cost, expected_urgency, genie, urgency, whittle_cost
 from tsjepa.radio.streams import uniform
+from tsjepa.support.description import load_named
 
 SchedulerFunction = Callable[[Known], tuple[Tensor, Tensor]]
 
@@ -191,13 +192,24 @@ SCHEDULERS: dict[str, Callable[..., tuple[Tensor, Tensor]]] = {
 
 
 def get_scheduler(scheduler: str | SchedulerFunction) -> SchedulerFunction:
-    """A built-in scheduler by name; a function is passed through."""
-    if callable(scheduler):
-        _check_signature(scheduler)
-        return scheduler
-    if scheduler not in SCHEDULERS:
-        raise ValueError(f"unknown scheduler {scheduler!r}: choose one of {', '.join(SCHEDULERS)}, or pass a function")
-    return SCHEDULERS[scheduler]
+    """A built-in scheduler by name, another by its import path; a function is passed through.
+
+    Raises:
+        ValueError: there is none, it must not be imported, or it does not take one argument.
+    """
+    if isinstance(scheduler, str):
+        if scheduler in SCHEDULERS:
+            return SCHEDULERS[scheduler]
+        if "." not in scheduler:
+            known = ", ".join(SCHEDULERS)
+            raise ValueError(
+                f"unknown scheduler {scheduler!r}: choose one of {known}, or give a function's import path"
+            )
+        scheduler = load_named("scheduler", scheduler)
+    if not callable(scheduler):
+        raise ValueError(f"a scheduler is a function of one argument, known, not {scheduler!r}")
+    _check_signature(scheduler)
+    return scheduler
 
 
 def _check_signature(scheduler: Callable) -> None:

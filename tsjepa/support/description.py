@@ -84,16 +84,25 @@ def load_class(path: Any, allowed: Allowed, trusted: bool = False) -> type:
     Raises:
         ValueError: it must not be imported, there is none, or it is of another kind.
     """
-    module, _, name = str(path).rpartition(".")
-    if not may_import(str(path), trusted):
-        raise ValueError(
-            f"The class {path} is not this package's own: add {TRUST} (in Python trusted=True) if you trust whoever "
-            "made it."
-        )
-    try:
-        kind = getattr(importlib.import_module(module), name)
-    except (ImportError, AttributeError, ValueError) as error:
-        raise ValueError(f"The class {path} cannot be imported: {error}.") from error
+    kind = load_named("class", str(path), trusted)
     if not (isinstance(kind, type) and allowed(kind)):
         raise ValueError(f"{path} is no class that can be used here.")
     return kind
+
+
+def load_named(what: str, path: str, trusted: bool = False) -> Any:
+    """What an import path names; ``what`` is its kind in the errors.
+
+    Raises:
+        ValueError: it must not be imported, or there is none.
+    """
+    module, _, name = path.rpartition(".")
+    if not may_import(path, trusted):
+        raise ValueError(
+            f"The {what} {path} is not this package's own: add {TRUST} (in Python trusted=True) if you trust whoever "
+            "made it."
+        )
+    try:
+        return getattr(importlib.import_module(module), name)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise ValueError(f"The {what} {path} cannot be imported: {error}.") from error
