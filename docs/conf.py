@@ -14,6 +14,7 @@ sys.path.insert(0, str(HERE))
 from options import write_options  # noqa: E402 - a neighbour of this file
 
 project, author = "tsjepa", "The tsjepa authors"
+copyright = author
 release = importlib.metadata.version("tsjepa")
 extensions = [
     "myst_nb",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import importlib
 import inspect
@@ -84,6 +85,8 @@ def table(parser) -> list[str]:
     rows = ["| option | default | what it is |", "|---|---|---|"]
     for action in parser._actions:
         if not action.option_strings or action.dest in ("help", "config", "print_config"):
+            continue
+        if action.default == argparse.SUPPRESS:  # a group, whose fields have rows of theirs, or its help
             continue
         default = "required" if getattr(action, "required", False) else action.default
         rows.append(f"| `{action.option_strings[0]}` | {cell(default)} | {words(action.help)} |")

@@ -12,6 +12,7 @@ from pathlib import Path
 from tsjepa.support.files import write_text
 
 MEMORY_GROWTH_PERCENT = 2
+OLD = "c00b92b"  # the last of version 0.1, as commits.py has it
 
 
 @dataclass
@@ -248,11 +249,27 @@ def memory(result: dict) -> Iterator[Row]:
     )
 
 
+def commits(result: dict) -> Iterator[Row]:
+    cpu = result["machine"]["ATEN_CPU_CAPABILITY"]
+    for name, unit in (("camera", "frames"), ("network", "device-slots"), ("training", "samples")):
+        rates = result[name]
+        other = f"commit {OLD}: {middle(rates['old'])}"
+        yield Row(f"{name} beside version 0.1, {cpu}", f"{middle(rates['new'])} {unit}/s", other, rates["new_over_old"])
+
+
 PARTS: dict[str, Callable[[dict], Iterator[Row]]] = {
     part.__name__: part
-    for part in (camera, collection, training_step, peers, quality, network, radio, fleet, latency, loading, memory)
-}
-HEAD = ("what", "figure", "peer or limit", "ratio: median (range)", "target", "met", "command")
+    for part in (
+        camera, collection, training_step, peers, quality, network, radio, fleet, latency, loading, memory, commits
+    )
+}  # fmt: skip
+HEAD = ("what", "figure", "peer or limit", "ratio: median (range)", "target", "met", "commit")
+ABOVE = """# Benchmarks
+
+Made by `make bench`. A row is as old as its commit: version 0.2 begins on 2026-11-25, and what was measured before is
+version 0.1's. The list below the table has the date, the machine and the command of each file.
+
+"""
 
 
 def table(folder: Path) -> str:
@@ -267,10 +284,10 @@ def table(folder: Path) -> str:
         result = json.loads(path.read_text())
         made, machine = result["made_by"], result["machine"]
         for row in part(result):
-            lines.append("| " + " | ".join([*row.cells(), f"`tests/benchmarks/{made['command']}`"]) + " |")
+            lines.append("| " + " | ".join([*row.cells(), made["commit"][:7]]) + " |")
         origins.append(
             f"- {path.name}: {made['commit']}, {made['date']}, {machine['cores']} cores of {machine['processor']}, "
-            f"load average {machine['load_average']} at the end"
+            f"load average {machine['load_average']} at the end; `python tests/benchmarks/{made['command']}`"
         )
     if absent:
         origins.append(f"- not measured: {', '.join(absent)}")
@@ -283,9 +300,7 @@ def main() -> None:
     parser.add_argument("--output", help="default: benchmarks.md in that folder")
     options = parser.parse_args()
     text = table(Path(options.results))
-    write_text(
-        options.output or Path(options.results) / "benchmarks.md", f"# Benchmarks\n\nMade by `make bench`.\n\n{text}"
-    )
+    write_text(options.output or Path(options.results) / "benchmarks.md", ABOVE + text)
     print(text)
 
 

@@ -29,6 +29,12 @@ th, td { border: 1px solid #ccc; min-width: 5rem; padding: .35rem .5rem; text-al
 th { background: #f3f3f3; } img { max-width: 100%; height: auto; } code { background: #f3f3f3; }
 .reproduced { background: #dff2df; } .partly { background: #fff3cf; } .not { background: #f8d9d6; }
 .not-measured { background: #eee; }
+@media (max-width: 40rem) { /* a claim is a card, its cells below each other */
+  .wide table, .wide tbody, .wide tr, .wide td { display: block; font-size: 15px; }
+  .wide tr { margin-bottom: .75rem; border: 1px solid #ccc; } .wide tr:first-child, .wide td:empty { display: none; }
+  .wide td { border: 0; padding: .2rem .6rem; overflow-wrap: anywhere; } .wide td:nth-child(3) { font-weight: bold; }
+  .wide td:nth-child(1) { color: #555; }
+}
 """
 
 
