@@ -91,6 +91,25 @@ def test_requests_are_coded_late_and_cleared_on_delivery(delay):
     assert (data["signalling_bits"] == 4).all()
 
 
+@pytest.mark.parametrize("delay", [0, 1])
+def test_for_a_first_contact_devices_ask_until_they_are_heard(delay):
+    lengths = [40, 40, 40, 40, 40, 9]
+    urgency = Urgency(twin(predict=wrong_model), "state", CODE, delay, first_contact=True)
+    data = rollout(urgency, Scheduler("first_contact", 1), lengths=lengths)
+    watched = rollout(Urgency(twin(predict=wrong_model), "state", CODE, 0), Scheduler("first_contact", 1))
+    for device in range(6):
+        heard = False
+        for slot in range(40):
+            fresh = device == 5 and slot % 9 == 0
+            heard = not fresh and (heard or (slot > 0 and bool(data["delivered"][device, slot - 1])))
+            assert data["signalling_bits"][device, slot] == (0 if heard else 4)
+            if heard:
+                assert data["urgency"][device, slot] == 0
+    first = data["urgency"][:, delay]
+    assert torch.equal(first, watched["urgency"][:, 0].masked_fill(data["delivered"][:, 0] & (delay > 0), 0))
+    assert first.max() > 0 and (data["true_error"][:, -1] > 0).any()
+
+
 def test_with_a_right_model_only_the_unheard_are_urgent():
     data = rollout(Urgency(twin(), "state"), Scheduler("genie", 1), end=Estimator(linear_model(A, B)))
     informed = torch.cat((torch.zeros(6, 1, dtype=torch.bool), data["informed"][:, :-1]), 1)
@@ -167,7 +186,8 @@ def test_a_controller_learns_from_what_it_hears():
 def chain_of(name):
     if name == "expected_urgency":
         return ExpectedGain(twin(predict=wrong_model)), Scheduler(name, 6)
-    return Urgency(twin(predict=wrong_model), "state", CODE, 2), Scheduler(name, 6)
+    urgency = Urgency(twin(predict=wrong_model), "state", CODE, 2, first_contact=name == "first_contact")
+    return urgency, Scheduler(name, 6)
 
 
 @pytest.mark.parametrize("name", ["urgency", "expected_urgency"])
@@ -186,7 +206,7 @@ def test_resetting_devices_leaves_the_others_alone_and_the_record_alive(name):
         assert (heard.diff(dim=1) >= 0).all() and heard[0, -1] > 5
 
 
-@pytest.mark.parametrize("name", ["urgency", "expected_urgency"])
+@pytest.mark.parametrize("name", ["urgency", "first_contact", "expected_urgency"])
 def test_specs(name):
     chain = [Channel(), *chain_of(name), Codec(FloatCodec(), in_key="state"), Uplink(), Estimator(wrong_model)]
     check_env_specs(TransformedEnv(LinearFleet((6,)), Compose(*chain)))

@@ -50,7 +50,12 @@ def test_a_model_that_is_right_needs_what_the_true_state_needs(scheduler):
 
 
 def test_cameras_run_all_the_time_only_where_devices_watch():
-    for scheduler, always in (("urgency", True), ("expected_urgency", False), ("channel_aware", False)):
+    for scheduler, always in (
+        ("urgency", True),
+        ("first_contact", True),
+        ("expected_urgency", False),
+        ("channel_aware", False),
+    ):
         model = seeing()
         seen, _ = watched(replace(LOOP, scheduler=scheduler, controller=model), "embedding", "scheduled")
         looked = seen["embedding"].abs().sum(-1) > 0
@@ -85,11 +90,14 @@ def test_frames_cannot_be_compared():
 
 
 def test_requests_are_counted_and_nobody_else_pays():
-    outcomes = [run(replace(LOOP, scheduler=name, slots=5), 0) for name in ("urgency", "channel_aware")]
+    names = ("urgency", "channel_aware", "first_contact")
+    outcomes = [run(replace(LOOP, scheduler=name, slots=5), 0) for name in names]
     row = summary("urgency", [outcomes[0]] * 2, torch.ones(2, 6))
     assert row["signalling_bits_per_device_and_slot"] == 4.0
     assert outcomes[1].signalling_bits is None
     assert "signalling_bits_per_device_and_slot" not in summary("", [outcomes[1]] * 2, torch.ones(2, 6))
+    unheard = outcomes[2].delivered.roll(1, 0).index_fill(0, torch.tensor([0]), False).cumsum(0) == 0
+    assert torch.equal(outcomes[2].signalling_bits, 4 * unheard) and not unheard[-1].all()
     two = replace(LOOP.radio, requests=Requests(bits=2, delay=0))
     assert (run(replace(LOOP, scheduler="urgency", slots=5, radio=two), 0).signalling_bits == 2).all()
 

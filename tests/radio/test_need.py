@@ -7,7 +7,7 @@ import torch
 
 from tsjepa.radio import SCHEDULERS, Known, simulate_ages
 from tsjepa.radio.cost import age_cost, age_cost_table, cost_weight
-from tsjepa.radio.need import channel_aware_cost, expected_urgency, genie, urgency, whittle_cost
+from tsjepa.radio.need import channel_aware_cost, expected_urgency, first_contact, genie, urgency, whittle_cost
 from tsjepa.radio.schedulers import channel_aware, whittle
 
 FIELDS = {urgency: "urgency", expected_urgency: "expected_gain", genie: "true_error"}
@@ -58,6 +58,22 @@ def test_nobody_is_served_who_cannot_be_heard():
     assert urgency(known)[0].nonzero().flatten().tolist() == [7]
 
 
+@pytest.mark.parametrize("fields", [{}, {"weight": 1.0 + torch.arange(8) % 2}])
+def test_first_contacts_go_before_everybody_and_the_others_as_channel_aware(fields):
+    asked = torch.tensor([0, 0.09, 0, 0, 0.3, 0, 0.2, 0])
+    known = fleet(success=torch.ones(8), urgency=asked, age=torch.tensor([9, 1, 9, 90, 1, 40, 2, 70]), **fields)
+    order = [first_contact(known._replace(budget=budget))[0].nonzero().flatten().tolist() for budget in range(1, 6)]
+    assert order == [[4], [4, 6], [1, 4, 6], [1, 3, 4, 6], [1, 3, 4, 6, 7]]
+    nobody = known._replace(urgency=torch.zeros(8), success=fleet().success)
+    assert torch.equal(first_contact(nobody)[0], channel_aware(nobody)[0])
+    assert not torch.equal(first_contact(nobody)[0], first_contact(known)[0])
+
+
+def test_first_contacts_count_per_resource_unit():
+    known = fleet(3, success=torch.ones(3), demand=torch.tensor([2, 1, 1]), budget=2, urgency=torch.tensor([1, 1, 0.6]))
+    assert first_contact(known)[0].tolist() == [False, True, True]
+
+
 @pytest.mark.parametrize("in_units", [False, True])
 def test_the_plants_cost_is_the_weight_of_the_table(in_units):
     pace = torch.where(torch.arange(40) % 2 == 0, 1.12, 1.0).double().view(-1, 1, 1)
@@ -71,7 +87,9 @@ def test_the_plants_cost_is_the_weight_of_the_table(in_units):
         assert not torch.equal(ours(known)[0], theirs(known)[0])
 
 
-@pytest.mark.parametrize("name", ["urgency", "expected_urgency", "genie", "channel_aware_cost", "whittle_cost"])
+@pytest.mark.parametrize(
+    "name", ["urgency", "first_contact", "expected_urgency", "genie", "channel_aware_cost", "whittle_cost"]
+)
 def test_what_nobody_writes_is_named(name):
     with pytest.raises(ValueError, match="nothing writes here"):
         simulate_ages(SCHEDULERS[name], num_devices=4, resource_blocks=1, slots=2)

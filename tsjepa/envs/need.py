@@ -26,11 +26,11 @@ from tsjepa.radio.cost import surviving_cost_table
 from tsjepa.radio.schedulers import SchedulerFunction
 from tsjepa.support.deal import deal
 
-SAID, EXPECTED, TRUE = "urgency", "expected_urgency", "genie"
+SAID, FIRST, EXPECTED, TRUE = "urgency", "first_contact", "expected_urgency", "genie"
 BY_COST = ("channel_aware_cost", "whittle_cost")
 LARGEST_AGE = 300  # slots; beyond it the cost of age is taken for constant
 STARTS = 2048  # drawn of each kind of plant, to know what an error costs of a device that was never heard
-NAMES = (SAID, EXPECTED, TRUE)
+NAMES = (SAID, FIRST, EXPECTED, TRUE)
 
 
 def watched(
@@ -43,8 +43,8 @@ def watched(
 ) -> list[nn.Module]:
     """The chain with what its scheduler needs in front of it; the same chain where it needs nothing of the kind.
 
-    Devices watch all the time for the schedulers "urgency" and "genie", and for a function where ``radio.requests`` is
-    given: then camera and encoder stand before the scheduler.
+    Devices watch all the time for the schedulers "urgency", "first_contact" and "genie", and for a function where
+    ``radio.requests`` is given: then camera and encoder stand before the scheduler.
 
     Args:
         chain: from the channel to the far end.
@@ -72,7 +72,8 @@ def watched(
         )
     key = "embedding" if sees else "state"
     requests = Requests() if radio.requests is None else radio.requests
-    says = Urgency(twin, key) if scheduler == TRUE else Urgency(twin, key, requests.code(), requests.delay)
+    asking = {} if scheduler == TRUE else {"code": requests.code(), "delay": requests.delay}
+    says = Urgency(twin, key, **asking, first_contact=scheduler == FIRST)
     rest = [part for part in chain[place:] if part not in sees]
     return [*chain[:place], *sees, says, *rest]
 

@@ -23,7 +23,7 @@ def summary(scheduler: str, runs: list[Run], optimal: Tensor) -> dict:
         arrived = sum(int(outcome.delivered.sum()) for outcome in runs)
         spent = sum(float(outcome.energy_j.double().sum()) for outcome in runs)
         energy["joules_per_update"] = spent / arrived if arrived else None
-    row = {
+    return {
         "scheduler": scheduler,
         "normalized_score": mean,
         "interval_95": half,
@@ -33,13 +33,18 @@ def summary(scheduler: str, runs: list[Run], optimal: Tensor) -> dict:
         "age_95_percentile": float(ages.double().quantile(0.95)),
         "delivery_rate": sum(outcome.delivery_rate() for outcome in runs) / len(runs),
         "utilisation": sum(outcome.utilisation() for outcome in runs) / len(runs),
-        "bits_per_device_and_slot": _mean(runs, lambda outcome: outcome.payload_bits),
+        **bits_sent(runs),
         **energy,
         "age_counts": torch.bincount(ages.flatten() - 1).tolist(),
     }
+
+
+def bits_sent(runs: list[Run]) -> dict[str, float]:
+    """Bits of updates per device and slot, arrived or not, and where devices say how urgent they are, of that too."""
+    bits = {"bits_per_device_and_slot": _mean(runs, lambda outcome: outcome.payload_bits)}
     if runs[0].signalling_bits is not None:
-        row["signalling_bits_per_device_and_slot"] = _mean(runs, lambda outcome: outcome.signalling_bits)
-    return row
+        bits["signalling_bits_per_device_and_slot"] = _mean(runs, lambda outcome: outcome.signalling_bits)
+    return bits
 
 
 def device_rows(scheduler: str, runs: list[Run], optimal: Tensor) -> list[dict]:

@@ -17,7 +17,7 @@ from tsjepa.evaluation import search as sizes_served
 from tsjepa.evaluation.conditions import load_on, plant_of, warn_of_another_renderer
 from tsjepa.evaluation.fleet_film import fleet_film
 from tsjepa.evaluation.fleet_pictures import age_plot, capacity_plot, device_plot
-from tsjepa.evaluation.fleet_summary import as_csv, device_rows, summary, table
+from tsjepa.evaluation.fleet_summary import as_csv, bits_sent, device_rows, summary, table
 from tsjepa.evaluation.metrics import normalized_score
 from tsjepa.evaluation.recorded import record_runs
 from tsjepa.evaluation.rollouts import Loop, optimal_scores, run
@@ -235,6 +235,7 @@ def search(experiment: Experiment, sizes: Sequence[int], code: str, resolution: 
             "mean_age": float(outcome.age.double().mean()),
             "delivery_rate": outcome.delivery_rate(),
             "utilisation": outcome.utilisation(),
+            **bits_sent([outcome]),
         }
 
     def score(scheduler: str, count: int) -> list[float]:

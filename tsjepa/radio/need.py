@@ -19,6 +19,17 @@ def urgency(known: Known):
     return _by_gain(_wanted(known.urgency, "urgency", "what devices say of themselves"), known)
 
 
+def first_contact(known: Known):
+    """Whoever says anything comes first, the largest expected urgency leading; what is left goes by ``channel_aware``.
+
+    For devices that ask until they are heard for the first time.
+    """
+    asked = _scaled(known.success * _wanted(known.urgency, "urgency", "what devices say of themselves"), known)
+    age = known.age.to(torch.float64)
+    by_age = _scaled(known.success * (1 + age * (age + 2)), known)
+    return _granted(torch.where(asked > 0, by_age.amax(-1, keepdim=True) + asked, by_age), known)
+
+
 def expected_urgency(known: Known):
     """The same by what the controller expects a delivery to save, for which no device says anything."""
     return _by_gain(_wanted(known.expected_gain, "expected_gain", "a record of the controller's errors"), known)
@@ -49,8 +60,16 @@ def _by_gain(need: Tensor, known: Known) -> tuple[Tensor, Tensor]:
 
 
 def _by_score(score: Tensor, known: Known) -> tuple[Tensor, Tensor]:
+    return _granted(_scaled(score, known), known)
+
+
+def _scaled(score: Tensor, known: Known) -> Tensor:
+    """By priority and per resource unit."""
     score = score if known.weight is None else score * known.weight
-    score = score if known.demand is None else score / known.demand.clamp(min=1)
+    return score if known.demand is None else score / known.demand.clamp(min=1)
+
+
+def _granted(score: Tensor, known: Known) -> tuple[Tensor, Tensor]:
     return grant(score, known.candidate & (known.success > 0), known.demand, known.budget), known.memory
 
 

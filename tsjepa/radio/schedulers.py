@@ -17,7 +17,7 @@ from torch import Tensor
 from tsjepa.radio.age import whittle_index
 from tsjepa.radio.grant import grant
 from tsjepa.radio.knowledge import Known
-from tsjepa.radio.need import channel_aware_cost, expected_urgency, genie, urgency, whittle_cost
+from tsjepa.radio.need import channel_aware_cost, expected_urgency, first_contact, genie, urgency, whittle_cost
 from tsjepa.radio.streams import uniform
 from tsjepa.support.description import load_named
 
@@ -181,6 +181,7 @@ SCHEDULERS: dict[str, Callable[..., tuple[Tensor, Tensor]]] = {
         whittle_cost,
         channel_aware_cost,
         urgency,
+        first_contact,
         expected_urgency,
         genie,
         proportional_fair,

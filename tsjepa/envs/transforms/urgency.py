@@ -10,7 +10,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.data import Composite, TensorSpec
 
-from tsjepa.envs.transforms.base import SlotTransform, Values, number_spec, require_key
+from tsjepa.envs.transforms.base import SlotTransform, Values, flag_spec, number_spec, require_key
 from tsjepa.radio import expected_error
 from tsjepa.radio.urgency import UrgencyCode
 
@@ -61,6 +61,10 @@ class Twin:
         return torch.where(informed.unsqueeze(-1), believed, rest), informed, belief
 
 
+def _everyone(current: TensorDictBase) -> Tensor:
+    return torch.ones(current.batch_size, dtype=torch.bool, device=current.device)
+
+
 def distance(command: Tensor, other: Tensor) -> Tensor:
     """How far commands [*B, m] are apart, [*B]: the largest of their numbers."""
     return (command - other).abs().amax(-1).to(torch.float64)
@@ -76,19 +80,29 @@ class Urgency(SlotTransform):
     the actuator's range; of a device that was never heard, how far from rest; 0 of one that has failed, which gives up
     its claim. ``urgency`` [*B] float64 is what the base station has been told of it: the code's level, ``delay`` slots
     late, and 0 once an update has arrived since. ``signalling_bits`` [*B] int64 are spent by every device in every
-    slot, whether it needs anything or not, since its place in the uplink is reserved.
+    slot, whether it needs anything or not, since its place in the uplink is reserved; with ``first_contact`` until an
+    update of its episode has arrived, after which it says nothing.
 
     Args:
         twin: the controller, as the device knows it.
         in_key: what the device sees: "state" or "embedding".
         code: of a request; None sends the number itself and counts no bits.
         delay: slots from a request to the decision that heeds it.
+        first_contact: only devices that were not heard yet make requests.
     """
 
-    def __init__(self, twin: Twin, in_key: str = "embedding", code: UrgencyCode | None = None, delay: int = 0):
+    def __init__(
+        self,
+        twin: Twin,
+        in_key: str = "embedding",
+        code: UrgencyCode | None = None,
+        delay: int = 0,
+        first_contact: bool = False,
+    ):
         if delay < 0:
             raise ValueError(f"delay {delay} must be at least 0 slots")
-        self.carried = ("urgency_requests",) if delay else ()
+        self.carried = ("urgency_requests",) * (delay > 0) + ("urgency_asks",) * first_contact
+        self.first_contact = first_contact
         self.previous_keys = ("delivered", *twin.reads())
         super().__init__(in_keys=[in_key], out_keys=["urgency", "true_error", "signalling_bits", *self.carried])
         self.twin, self.code, self.delay = twin, code, delay
@@ -99,12 +113,14 @@ class Urgency(SlotTransform):
         specs["signalling_bits"] = number_spec(incoming, dtype=torch.int64)
         if self.delay:
             specs["urgency_requests"] = number_spec(incoming, self.delay, dtype=torch.float64)
+        if self.first_contact:
+            specs["urgency_asks"] = flag_spec(incoming)
         return specs
 
     def _begin(self, before: Values, current: TensorDictBase) -> Values:
         shape = (*current.batch_size, self.delay)
         empty = torch.zeros(shape, dtype=torch.float64, device=current.device)
-        return {"urgency_requests": empty} if self.delay else {}
+        return {"urgency_requests": empty, "urgency_asks": _everyone(current)}
 
     @torch.no_grad()
     def _slot(self, previous: Values, current: TensorDictBase, fresh: Tensor | None) -> Values:
@@ -112,16 +128,18 @@ class Urgency(SlotTransform):
         wanted = self.twin.law(seen, current.get("reference", None))
         error = distance(wanted, self.twin.command(previous, current)[0])
         error = error.masked_fill(self.twin.failed(seen), 0.0)
+        delivered, asks = previous["delivered"], _everyone(current)
+        if self.first_contact:
+            asks = previous["urgency_asks"] if delivered is None else previous["urgency_asks"] & ~delivered
         said = error if self.code is None else self.code.decode(self.code.encode(error))
-        everyone = torch.ones(current.batch_size, dtype=torch.bool, device=current.device)
-        bits = torch.zeros_like(everyone, dtype=torch.int64)
-        values = {
-            "true_error": error,
-            "signalling_bits": bits if self.code is None else self.code.signalling_bits(everyone),
-        }
+        said = said.masked_fill(~asks, 0.0)
+        bits = torch.zeros_like(asks, dtype=torch.int64) if self.code is None else self.code.signalling_bits(asks)
+        values = {"true_error": error, "signalling_bits": bits}
+        if self.first_contact:
+            values["urgency_asks"] = asks
         if not self.delay:
             return values | {"urgency": said}
-        requests, delivered = previous["urgency_requests"], previous["delivered"]
+        requests = previous["urgency_requests"]
         if delivered is not None:
             requests = requests.masked_fill(delivered.unsqueeze(-1), 0.0)
         values["urgency_requests"] = torch.cat((requests[..., 1:], said.unsqueeze(-1)), -1)
