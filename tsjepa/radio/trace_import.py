@@ -81,7 +81,8 @@ def read_logs(path: Path, columns: dict[str, str], period_s: float | None) -> tu
             return _named(path.name, read_links(path, columns, period_s)), []
         except (KeyError, IndexError, TypeError, OverflowError) as error:
             raise ValueError(f"{path.name} cannot be read as a log of a radio link: {reason(error)}") from error
-    logs, skipped = {}, []
+    logs: dict[str, Log] = {}
+    skipped = []
     for file in sorted(file for file in path.rglob("*") if file.is_file() and not file.name.startswith(".")):
         name = file.relative_to(path).as_posix()
         try:

@@ -28,11 +28,11 @@ def iperf_text_log(name: str, lines: list[str]) -> Log:
     streams: dict[str, dict[tuple[float, float], tuple[float, float]]] = {}
     for line in lines:
         row = IPERF.search(line)
-        share = LOST.search(row[4]) if row and not SUMMARY.search(line) else None
-        if share:
-            streams.setdefault(row[1], {}).setdefault(
-                (float(row[2]), float(row[3])), (float(share[1]), float(share[2]))
-            )
+        if row is None or SUMMARY.search(line):
+            continue
+        if share := LOST.search(row[4]):
+            interval = (float(row[2]), float(row[3]))
+            streams.setdefault(row[1], {}).setdefault(interval, (float(share[1]), float(share[2])))
     if not streams:
         raise ValueError(NO_LOSS.format(name))
     chosen = {"SUM": streams["SUM"]} if "SUM" in streams else streams

@@ -58,7 +58,7 @@ def ping_log(lines: list[str], period: float) -> Log:
         known = np.array(sorted(stamps))
         steps = np.diff([stamps[int(number)] for number in known]) / np.diff(known)
         period = float(np.median(steps))
-        time = np.interp(span, known, [stamps[int(number)] for number in known])
+        time: np.ndarray = np.interp(span, known, [stamps[int(number)] for number in known])
         time += period * (np.minimum(span - known[0], 0) + np.maximum(span - known[-1], 0))
     else:
         time = span * period

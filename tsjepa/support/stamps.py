@@ -53,8 +53,9 @@ def as_seconds(stamps: np.ndarray, scale: float) -> np.ndarray:
     """Seconds; the scale of stamps since 1970 is told by their size, whatever the column is called; dates are read."""
     if stamps.dtype == object:
         clocks = [CLOCK.fullmatch(str(word).strip()) for word in stamps]
-        if len(clocks) and all(clocks):
-            return clock_seconds([_clock(match) for match in clocks])
+        known = [match for match in clocks if match]
+        if known and len(known) == len(clocks):
+            return clock_seconds([_clock(match) for match in known])
         stamps = dates(stamps)
     typical = np.nanmedian(np.abs(stamps)) if np.isfinite(stamps.astype(float)).any() else 0
     scale = since_1970(float(typical)) or scale
@@ -89,7 +90,8 @@ def leading_time(line: str, alone: bool = False) -> float | None:
         return value * (since_1970(value) or 1.0)
     if match["date"]:
         return float(dates(np.array([match["date"].replace(",", ".")], dtype=object))[0]) * 1e-9
-    return _clock(CLOCK.match(match["clock"]))
+    clock = CLOCK.match(match["clock"])
+    return _clock(clock) if clock else None
 
 
 def dates(words: np.ndarray) -> np.ndarray:
