@@ -27,7 +27,7 @@ def test_a_table_with_units_in_its_names(tmp_path):
 
 
 def test_fields_without_a_name_are_left_out_and_named(tmp_path):
-    log = log_of(tmp_path / "a.txt", "time rtt\n0 20 5 6\n1 21 5 6\n2 22 5 6\n")
+    log = log_of(tmp_path / "a.txt", "time rtt(ms)\n0 20 5 6\n1 21 5 6\n2 22 5 6\n")
     np.testing.assert_allclose(log.columns["delay_ms"], [20, 21, 22])
     assert log.notes == ["a.txt names 2 columns and has rows of 4 fields; the last 2 have no name and are left out."]
 

@@ -8,21 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
+from tsjepa.radio.trace_iperf import IPERF, iperf_json_log, iperf_text_log
 from tsjepa.radio.trace_log import Log
 from tsjepa.radio.trace_packets import RECEIVED, SEQUENCE, integer, packet_log
-from tsjepa.radio.trace_tables import COLUMNS, table_log, text_table
-from tsjepa.radio.trace_texts import (
-    IPERF,
-    PING,
-    REPLY,
-    SIGNAL,
-    iperf_json_log,
-    iperf_log,
-    opportunity_log,
-    ping_log,
-    reply_log,
-    signal_log,
-)
+from tsjepa.radio.trace_pings import PING, REPLY, ping_log, reply_log
+from tsjepa.radio.trace_tables import COLUMNS, NOTES, by_device, table_log, text_table
+from tsjepa.radio.trace_texts import POLL, SIGNAL, iw_log, opportunity_log, signal_log
 from tsjepa.support.delimited import flat, kind, read_text
 from tsjepa.support.foreign import refuse_pointer
 from tsjepa.support.stamps import as_seconds, split_unit
@@ -32,7 +23,7 @@ MOST_BYTES = 2 << 30  # of one log; they are read whole
 
 
 def read_log(path: Path, columns: dict[str, str], period_s: float | None = None) -> Log:
-    """Reads one log, whatever its kind.
+    """Reads one log of one link, whatever its kind.
 
     Args:
         path: text or Parquet.
@@ -42,34 +33,46 @@ def read_log(path: Path, columns: dict[str, str], period_s: float | None = None)
     Raises:
         ValueError: it is no log of a radio link that is known, or holds no row.
     """
+    found = _parse(path, columns, period_s)
+    return found if isinstance(found, Log) else table_log(found, columns, path.name)
+
+
+def read_links(path: Path, columns: dict[str, str], period_s: float | None = None) -> dict[str, Log]:
+    """The links of one log: one, or where a table has a column of devices, one a device, by "FILE NAME=DEVICE".
+
+    Raises:
+        ValueError: as :func:`read_log`.
+    """
+    found = _parse(path, columns, period_s)
+    if isinstance(found, Log):
+        return {"": found}
+    return {name: table_log(table, columns, path.name) for name, table in by_device(found).items()}
+
+
+def _parse(path: Path, columns: dict[str, str], period_s: float | None) -> Log | Table:
     refuse_pointer(path)
     if path.stat().st_size > MOST_BYTES:
         raise ValueError(f"{path.name} has {path.stat().st_size / 1e9:.1f} GB; cut it into smaller logs.")
     if kind(path) == ".parquet":
-        return table_log(read_table(path), columns, path.name)
+        return read_table(path)
     text = read_text(path)
     lines = [line for line in text.splitlines() if line.strip()]
     if not lines:
         raise ValueError(f"{path.name} is empty.")
     if re.match(r"\s*(\{|\[\s*\{)", text):  # ping and iperf3 begin with [, too
         return json_log(path, text, lines, columns)
-    if any(PING.search(line) for line in lines[:50]):
+    if any(PING.search(line) for line in lines):
         return ping_log(lines, period_s or 1.0)
-    if any(REPLY.search(line) for line in lines[:50]):
+    if any(REPLY.match(line) for line in lines):
         return reply_log(lines, period_s or 1.0)
     if any(IPERF.search(line) for line in lines):
-        matches = [match for line in lines if (match := IPERF.search(line))]
-        return iperf_log([(float(m[1]), float(m[2]), float(m[3]), float(m[4])) for m in matches])
-    if SIGNAL.search(text) and ("SSID" in text or "Station " in text):
-        blocks = [block for block in re.split(r"(?=Connected to|Not connected|Station )", text) if block.strip()]
-        if period_s is None and len(blocks) > 1:
-            raise ValueError(f"{path.name} is `iw` text without times: say how far apart its blocks are (--period_s).")
-        return signal_log(np.arange(len(blocks)) * (period_s or 1.0), blocks)
+        return iperf_text_log(path.name, lines)
+    if SIGNAL.search(text) and any(POLL.match(line.strip()) for line in lines):
+        return iw_log(path.name, lines, period_s)
     if all(line.strip().isdigit() for line in lines):
         return opportunity_log(np.array([int(line) for line in lines]), period_s or 0.02)
     table = text_table(path, lines)
-    log = packet_table(path.name, table) if not columns else None
-    return log or table_log(table, columns, path.name)
+    return (packet_table(path.name, table) if not columns else None) or table
 
 
 def packet_table(name: str, table: Table) -> Log | None:
@@ -83,7 +86,7 @@ def packet_table(name: str, table: Table) -> Log | None:
     return packet_log(name, rows, sequence, [])
 
 
-def json_log(path: Path, text: str, lines: list[str], columns: dict[str, str]) -> Log:
+def json_log(path: Path, text: str, lines: list[str], columns: dict[str, str]) -> Log | Table:
     rows = []
     for number, line in enumerate(lines, 1):
         try:
@@ -103,11 +106,13 @@ def json_log(path: Path, text: str, lines: list[str], columns: dict[str, str]) -
         rows.append(row)
     if len(rows) == 1 and "intervals" in rows[0]:
         return iperf_json_log(path, rows[0])
+    if all("event" in row for row in rows) and any(row["event"] == "interval" for row in rows):  # of --json-stream
+        return iperf_json_log(path, {"intervals": [row.get("data") for row in rows if row["event"] == "interval"]})
     return rows_log(path, rows, columns)
 
 
-def rows_log(path: Path, rows: list[dict], columns: dict[str, str]) -> Log:
-    """The log of JSON objects, one a row."""
+def rows_log(path: Path, rows: list[dict], columns: dict[str, str]) -> Log | Table:
+    """The log of JSON objects, one a row, or their table."""
     rows = [dict(flat(row)) for row in rows]
     if not rows:
         raise ValueError(f"{path.name} holds no row.")
@@ -132,9 +137,7 @@ def rows_log(path: Path, rows: list[dict], columns: dict[str, str]) -> Log:
     for name in names:
         cells[name] = np.empty(len(rows), dtype=object)
         cells[name][:] = [row.get(name) for row in rows]
-    log = table_log(cells, columns, path.name)
-    log.notes += notes
-    return log
+    return {**cells, NOTES: np.array(notes, dtype=object)}
 
 
 def _labels(stem: str, rows: list[dict]) -> list[str]:

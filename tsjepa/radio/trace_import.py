@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tsjepa.radio.trace_formats import read_log
+from tsjepa.radio.trace_formats import read_links
 from tsjepa.radio.trace_log import Log
 from tsjepa.radio.trace_tables import COLUMNS
 from tsjepa.support.foreign import optional, reason
@@ -78,20 +78,25 @@ def read_logs(path: Path, columns: dict[str, str], period_s: float | None) -> tu
         raise FileNotFoundError(f"There is nothing at {path}.")
     if path.is_file():
         try:
-            return {path.name: read_log(path, columns, period_s)}, []
+            return _named(path.name, read_links(path, columns, period_s)), []
         except (KeyError, IndexError, TypeError, OverflowError) as error:
             raise ValueError(f"{path.name} cannot be read as a log of a radio link: {reason(error)}") from error
-    logs, skipped = {}, []
+    logs: dict[str, Log] = {}
+    skipped = []
     for file in sorted(file for file in path.rglob("*") if file.is_file() and not file.name.startswith(".")):
         name = file.relative_to(path).as_posix()
         try:
-            logs[name] = read_log(file, columns, period_s)
+            logs |= _named(name, read_links(file, columns, period_s))
         except (ValueError, KeyError, IndexError, TypeError, OverflowError) as error:
             skipped.append({"name": name, "reason": reason(error)})
     if not logs:
         why = f": {skipped[0]['name']}: {skipped[0]['reason']}" if skipped else "."
         raise ValueError(f"{path} holds no log of a radio link that is known{why}")
     return logs, skipped
+
+
+def _named(name: str, links: dict[str, Log]) -> dict[str, Log]:
+    return {f"{name} {link}".rstrip(): log for link, log in links.items()}
 
 
 def describe(name: str, log: Log) -> dict:

@@ -50,7 +50,7 @@ def packet_log(name: str, rows: list[dict], sequence: str, notes: list[str]) -> 
     columns = {"lost": lost}
     if sent_key and received_key:
         delay = (received - sent) * 1e-6
-        notes += _without_offset(delay, period)
+        notes += without_offset(delay, period)
         columns["delay_ms"] = np.full(span, np.nan)
         columns["delay_ms"][place] = delay
     on_grid = np.interp(np.arange(span), place, time)
@@ -76,8 +76,11 @@ def nanoseconds(cells: list, name: str) -> list[int | None]:
     return [stamp if stamp is not None and abs(stamp) < 2**62 else None for stamp in stamps]
 
 
-def _without_offset(delay: np.ndarray, period: float) -> list[str]:
-    """Takes the offset of two clocks out of one-way delays (ms), in place; says what it did."""
+def without_offset(delay: np.ndarray, period: float = np.inf) -> list[str]:
+    """Takes the offset of two clocks out of one-way delays (ms), in place; says what it did.
+
+    A smallest delay that moves by more than a tenth of ``period`` seconds is said, too.
+    """
     negative = int((delay < 0).sum())
     if not negative:
         return ["The one-way delays are taken as they are: none is negative."]

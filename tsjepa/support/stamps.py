@@ -7,7 +7,20 @@ from collections.abc import Mapping
 
 import numpy as np
 
-SECONDS = {"ns": 1e-9, "us": 1e-6, "ms": 1e-3, "s": 1.0, "sec": 1.0, "seconds": 1.0}
+SECONDS = {
+    **dict.fromkeys(("ns", "nsec", "nanoseconds"), 1e-9),
+    **dict.fromkeys(("us", "usec", "microseconds"), 1e-6),
+    **dict.fromkeys(("ms", "msec", "millis", "milliseconds"), 1e-3),
+    **dict.fromkeys(("s", "sec", "secs", "second", "seconds"), 1.0),
+    **dict.fromkeys(("min", "minutes"), 60.0),
+}
+DAY_S = 86400.0
+CLOCK = re.compile(r"(\d\d?):(\d\d):(\d\d(?:[.,]\d+)?)")
+LEADING = re.compile(
+    r"\s*\[?(?P<epoch>\d{9,10}(?:\.\d+)?|\d{13}|\d{16}|\d{19})\]?(?=\s|$)"
+    r"|\s*\[?(?P<date>\d{4}-\d\d-\d\d[T ]\d\d:\d\d:\d\d(?:[.,]\d+)?(?:Z|[+-]\d\d:?\d\d)?)\]?"
+    r"|\s*\[?(?P<clock>\d\d:\d\d:\d\d(?:\.\d+)?)\]?(?=\s|$)"
+)
 TIME = re.compile(
     r"^_?((elapsed|unix|epoch|relative|rel|log|header|sample|frame|capture)[._ ]?)?"
     r"(time|times|time_?stamp|time_?stamps|stamp|ts|t|date_?time|elapsed|epoch)$",
@@ -39,12 +52,46 @@ def time_column(table: Mapping[str, np.ndarray], wanted: str | None = None) -> t
 def as_seconds(stamps: np.ndarray, scale: float) -> np.ndarray:
     """Seconds; the scale of stamps since 1970 is told by their size, whatever the column is called; dates are read."""
     if stamps.dtype == object:
+        clocks = [CLOCK.fullmatch(str(word).strip()) for word in stamps]
+        known = [match for match in clocks if match]
+        if known and len(known) == len(clocks):
+            return clock_seconds([_clock(match) for match in known])
         stamps = dates(stamps)
     typical = np.nanmedian(np.abs(stamps)) if np.isfinite(stamps.astype(float)).any() else 0
     scale = since_1970(float(typical)) or scale
     if stamps.dtype.kind == "i" and len(stamps):
         return (stamps - stamps[0]) * scale + float(stamps[0]) * scale
     return stamps.astype(float) * scale
+
+
+def clock_seconds(seconds: list[float]) -> np.ndarray:
+    """Times of day as a time that goes on after midnight."""
+    times = np.array(seconds)
+    days = np.concatenate([[0], np.cumsum(np.diff(times) < -DAY_S / 2)]) if len(times) else np.zeros(0)
+    return times + DAY_S * days
+
+
+def _clock(match: re.Match) -> float:
+    return 3600 * int(match[1]) + 60 * int(match[2]) + float(match[3].replace(",", "."))
+
+
+def leading_time(line: str, alone: bool = False) -> float | None:
+    """Seconds at which a line of a log begins: since 1970, a date, or a time of day; None where it does not.
+
+    Args:
+        line: such as "[1700000000.5] 64 bytes from ...".
+        alone: nothing may stand behind it.
+    """
+    match = LEADING.match(line)
+    if match is None or (alone and line[match.end() :].strip()):
+        return None
+    if match["epoch"]:
+        value = float(match["epoch"])
+        return value * (since_1970(value) or 1.0)
+    if match["date"]:
+        return float(dates(np.array([match["date"].replace(",", ".")], dtype=object))[0]) * 1e-9
+    clock = CLOCK.match(match["clock"])
+    return _clock(clock) if clock else None
 
 
 def dates(words: np.ndarray) -> np.ndarray:
@@ -83,11 +130,16 @@ def time_scale(name: str) -> float | None:
     bare, unit = split_unit(name)
     if unit is None:
         head, _, tail = bare.rpartition("_")
-        if head and tail.lower() in SECONDS:
+        if head and seconds_in(tail):
             bare, unit = head, tail
     if not TIME.match(bare):
         return None
-    return SECONDS.get((unit or "s").lower())
+    return seconds_in(unit or "s")
+
+
+def seconds_in(unit: str) -> float | None:
+    """Seconds in one ``unit``, such as "ms", "µs" or "sec"; None where it is no unit of time."""
+    return SECONDS.get(unit.strip().rstrip(".").lower().replace("µ", "u").replace("μ", "u"))
 
 
 def split_unit(name: str) -> tuple[str, str | None]:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from tsjepa.support.delimited import as_columns, decimal_points, kind, read_text, split_rows
+from tsjepa.support.delimited import NUMBER, as_columns, decimal_points, kind, read_text, split_rows
 from tsjepa.support.foreign import optional, refuse_pointer
 
 JSON_SUFFIXES = (".jsonl", ".ndjson", ".json")
@@ -156,6 +156,8 @@ def _read_csv(path: Path) -> Table:
         raise ValueError(f"{path.name} is empty.")
     if not names[0] and "index" not in names:  # as pandas writes its index
         names[0] = "index"
+    if any(NUMBER.fullmatch(name) and "." in name for name in names):
+        raise ValueError(f"the first line of {path.name} holds numbers instead of names; put the names above it.")
     if len(set(names)) < len(names):
         raise ValueError(f"{path.name} has two columns of the same name.")
     for number, row in enumerate(cells, 2):

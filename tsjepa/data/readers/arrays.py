@@ -17,6 +17,8 @@ PICTURES = re.compile(r"(^|/)(pixels|images?|rgb|frames?|video)\d*($|/)|(image|r
 ACTION = ("action", "actions", "command", "commands", "control", "u")
 STATE = ("state", "states", "qpos", "observation.state", "observations/qpos", "proprio", "obs/state")
 TIME = ("time", "times", "timestamp", "timestamps", "t", "time_s")
+ENDS_OF_EPISODES = "episode_ends"  # of a replay buffer: the row after each episode's last
+INDICES = ("episode_index", "episode_idx", "ep_idx", "episode_id", "episode", "traj_id", "traj_index", "traj_idx")
 LENGTHS = (("ep_len", "ep_offset"), ("episode_lengths", "episode_starts"))
 ENDS = (("terminals", "timeouts"), ("dones",), ("terminated", "truncated"), ("terminals",))
 
@@ -68,10 +70,10 @@ class ArrayRecording:
                 raise ValueError(f"there is no array {wanted}; there are {listed}.")
         if not cameras and self.streams.camera is None:
             raise ValueError(f"it has no pictures among {listed}: name the array of pictures (--camera).")
-        action_keys = self.streams.action or [key for key in ACTION if shapes.get(key)][:1]
+        action_keys = self.streams.action or _named(ACTION, shapes)
         if not action_keys:
             raise ValueError(f"it has no commands among {listed}: name the array of commands (--action).")
-        state_keys = self.streams.state or [key for key in STATE if shapes.get(key)][:1]
+        state_keys = self.streams.state or _named(STATE, shapes)
         time_key = self.streams.time or next(
             (key for key in TIME if shapes.get(key) and shapes[key][1:] in ((), (1,))), None
         )
@@ -89,7 +91,9 @@ class ArrayRecording:
             return bool({*CHANNELS} & {array.shape[1], array.shape[3]}) and array.dtype.kind in "uf"
         if len(array.shape) == 3:
             return array.dtype == np.uint8 and bool(PICTURES.search(key))
-        coded = len(array.shape) in (1, 2) and (array.dtype == np.uint8 or array.dtype.hasobject)
+        coded = len(array.shape) in (1, 2) and (
+            array.dtype == np.uint8 or array.dtype.hasobject or array.dtype.kind == "S"
+        )
         return coded and bool(PICTURES.search(key))
 
     def _spans(self, arrays: Mapping[str, object], rows: int) -> list[tuple[int, int]]:
@@ -106,6 +110,16 @@ class ArrayRecording:
                 if any(first < 0 or last > rows for first, last in spans) or len(start) != len(length):
                     raise ValueError(f"its {lengths} and {starts} reach beyond its {rows} rows.")
                 return spans
+        for key in arrays:
+            if key.rpartition("/")[2] == ENDS_OF_EPISODES:
+                bounds = [0, *_whole(arrays[key][:], key).tolist()]
+                if bounds != sorted(bounds) or bounds[-1] > rows:
+                    raise ValueError(f"its {key} do not rise to its {rows} rows.")
+                return [(first, last) for first, last in pairwise(bounds) if last > first]
+        index = next((key for key in arrays if key.rpartition("/")[2] in INDICES and len(arrays[key]) == rows), None)
+        if index is not None:
+            steps = np.flatnonzero(np.diff(_whole(arrays[index][:], index))) + 1
+            return list(pairwise([0, *steps.tolist(), rows]))
         for keys in ENDS:
             if all(key in arrays and len(arrays[key]) == rows for key in keys):
                 ends = np.any([np.asarray(arrays[key][:]).ravel()[:rows] != 0 for key in keys], axis=0)
@@ -153,6 +167,13 @@ class ArrayRecording:
         return names, np.concatenate(parts, axis=1) if parts else np.zeros((0, 0), np.float32)
 
 
+def _named(names: tuple[str, ...], shapes: Mapping[str, tuple]) -> list[str]:
+    """The first array of one of the names, at the top or else anywhere below."""
+    there = [name for name in names if shapes.get(name)]
+    below = [key for name in names for key in shapes if key.rpartition("/")[2] == name and shapes[key]]
+    return (there or below)[:1]
+
+
 def _whole(values: np.ndarray, name: str) -> np.ndarray:
     """Whole numbers [N] of an array of them."""
     values = np.asarray(values).ravel()
@@ -162,5 +183,5 @@ def _whole(values: np.ndarray, name: str) -> np.ndarray:
 
 
 def _bytes(cell: object) -> bytes:
-    """Coded bytes of a padded row of uint8, or of a row of varying length."""
-    return np.asarray(cell, dtype=np.uint8).tobytes()
+    """Coded bytes of a padded row of uint8, of a row of varying length, or of a string."""
+    return bytes(cell) if isinstance(cell, bytes) else np.asarray(cell, dtype=np.uint8).tobytes()

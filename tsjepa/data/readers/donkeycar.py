@@ -1,4 +1,4 @@
-"""Donkeycar tubs, version 2: a manifest, catalogs of JSON lines and a folder of pictures."""
+"""Donkeycar tubs: of version 2, catalogs of JSON lines and a folder of pictures; of version 1, a file a record."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tsjepa.data.readers.episode import Episode, Skipped, Streams, attempt, rang
 from tsjepa.data.readers.names import units_of
 from tsjepa.data.readers.pictures import natural, picture_files
 from tsjepa.support.foreign import refuse_pointers
-from tsjepa.support.tables import read_json_lines
+from tsjepa.support.tables import read_json, read_json_lines
 
 IMAGE = "image_array"
 
@@ -21,31 +21,19 @@ IMAGE = "image_array"
 class Donkeycar:
     """Reader of a tub; see :class:`tsjepa.data.readers.episode.Recording`. One session of the car is one episode."""
 
-    format = "Donkeycar tub v2"
-    rate_hz = None  # a tub does not say how often it was asked to record
-
     @staticmethod
     def matches(path: Path) -> bool:
-        return (path / "manifest.json").is_file() and any(path.glob("*.catalog"))
+        return ((path / "manifest.json").is_file() and any(path.glob("*.catalog"))) or any(path.glob("record_*.json"))
 
     def __init__(self, path: Path, streams: Streams) -> None:
         self.path, self.streams, self.notes = path, streams, []
-        catalogs = sorted(path.glob("*.catalog"), key=natural)
-        refuse_pointers(catalogs)
-        inputs, types, manifest = self._manifest(path / "manifest.json")
-        there = [catalog.name for catalog in catalogs]
-        self.missing = [name for name in manifest.get("paths") or [] if name not in there]
-        self.deleted = set(manifest.get("deleted_indexes") or [])
-        self.records, broken = [], []
-        for catalog in catalogs:
-            try:
-                self.records += read_json_lines(catalog)
-            except ValueError as error:
-                broken.append(f"{catalog.name} is left out: {error}")
-        self.notes += broken
-        kinds = dict(zip(inputs, types, strict=False)) or {
-            name: IMAGE if name.startswith("cam/") else "float" for record in self.records[:1] for name in record
-        }
+        self.rate_hz = streams.rate_hz  # a tub does not say how often it was asked to record
+        second = (path / "manifest.json").is_file()
+        self.format = f"Donkeycar tub v{2 if second else 1}"
+        self.images = path / "images" if second else path
+        self.missing, self.deleted = [], set()
+        kinds, current = self._open_v2() if second else self._open_v1()
+        kinds = kinds or {name: _kind(name, value) for record in self.records[:1] for name, value in record.items()}
         self.cameras = [name for name, kind in kinds.items() if kind == IMAGE]
         if not self.records:
             raise ValueError(f"{path} is a Donkeycar tub without a record.")
@@ -60,10 +48,53 @@ class Donkeycar:
         ]
         if not self.action_names:
             raise ValueError(f"{path} records no command of the user; it records {', '.join(kinds)}.")
-        self.others = [name for name in kinds if name not in (*self.action_names, self.camera)]
-        current = manifest.get("current_index")
+        self.state_names = streams.state or []
+        unknown = [name for name in [*self.action_names, *self.state_names] if name not in kinds]
+        if unknown:
+            raise ValueError(f"{path} records no {', '.join(unknown)}; it records {', '.join(kinds)}.")
+        self.others = [name for name in kinds if name not in (*self.action_names, *self.state_names, self.camera)]
         if isinstance(current, int) and current != len(self.records):
             self.notes.append(f"The manifest counts {current} records; {len(self.records)} are there.")
+
+    def _open_v1(self) -> tuple[dict[str, str], None]:
+        """Reads the records of version 1; gives the types of what they hold, as far as meta.json says."""
+        self.records = []
+        files = sorted(self.path.glob("record_*.json"), key=natural)
+        refuse_pointers(files)
+        broken = []
+        for file in files:
+            number = file.stem.rpartition("_")[2]
+            try:
+                self.records.append({**read_json(file), "_index": int(number) if number.isdigit() else -1})
+            except ValueError:
+                broken.append(file.name)
+        if broken:
+            self.notes.append(f"{len(broken)} records are no JSON ({', '.join(broken[:3])}) and are left out.")
+        try:
+            meta = read_json(self.path / "meta.json")
+        except (OSError, ValueError):
+            meta = {}
+        inputs, types = meta.get("inputs"), meta.get("types")
+        lists = isinstance(inputs, list) and isinstance(types, list)
+        return dict(zip(map(str, inputs), types, strict=False)) if lists else {}, None
+
+    def _open_v2(self) -> tuple[dict[str, str], object]:
+        """Reads the records of version 2; gives the types of what they hold, and how many the manifest counts."""
+        path = self.path
+        catalogs = sorted(path.glob("*.catalog"), key=natural)
+        refuse_pointers(catalogs)
+        inputs, types, manifest = self._manifest(path / "manifest.json")
+        there = [catalog.name for catalog in catalogs]
+        self.missing = [name for name in manifest.get("paths") or [] if name not in there]
+        self.deleted = set(manifest.get("deleted_indexes") or [])
+        self.records, broken = [], []
+        for catalog in catalogs:
+            try:
+                self.records += read_json_lines(catalog)
+            except ValueError as error:
+                broken.append(f"{catalog.name} is left out: {error}")
+        self.notes += broken
+        return dict(zip(inputs, types, strict=False)), manifest.get("current_index")
 
     @staticmethod
     def _manifest(path: Path) -> tuple[list[str], list[str], dict]:
@@ -87,23 +118,26 @@ class Donkeycar:
             yield Skipped("deleted records", "the tub's owner marked them as deleted.", len(self.records) - len(kept))
         sessions = [(key, list(group)) for key, group in groupby(kept, key=lambda record: record.get("_session_id"))]
         for session, records in sessions:
-            name = f"session {session}"
+            name = self.path.name if session is None else f"session {session}"
             yield attempt(name, lambda name=name, records=records: self._episode(name, records))
 
     def _episode(self, name: str, records: list[dict]) -> Episode:
-        folder = self.path / "images"
         files, kept, lost = [], [], []
         for record in records:
-            file = folder / Path(str(record.get(self.camera))).name
+            file = self.images / Path(str(record.get(self.camera))).name
             if file.is_file():
                 files.append(file)
                 kept.append(record)
             else:
                 lost.append(int(record.get("_index", -1)))
         if not files:
-            raise ValueError(f"none of its {len(records)} pictures is in images/.")
-        action = np.array([[_number(record.get(key)) for key in self.action_names] for record in kept], np.float32)
-        stamps = np.array([_number(record.get("_timestamp_ms")) for record in kept])
+            raise ValueError(f"none of its {len(records)} pictures is in {self.images.name}/.")
+        action, state = (
+            np.array([[_number(record.get(key)) for key in names] for record in kept], np.float32)
+            for names in (self.action_names, self.state_names)
+        )
+        key = "_timestamp_ms" if "_timestamp_ms" in kept[0] else "milliseconds"
+        stamps = np.array([_number(record.get(key)) for record in kept])
         times = stamps / 1000 if np.isfinite(stamps).all() else None
         episode = Episode(
             name=name,
@@ -111,6 +145,9 @@ class Donkeycar:
             action=action,
             action_names=list(self.action_names),
             action_units=units_of(self.action_names),
+            state=state if self.state_names else None,
+            state_names=list(self.state_names),
+            state_units=units_of(self.state_names),
             times=times,
             paired=True,
         )
@@ -122,6 +159,13 @@ class Donkeycar:
         if times is None:
             episode.notes.append("some records have no time.")
         return episode
+
+
+def _kind(name: str, value: object) -> str:
+    """The type of an input that no list of types names."""
+    if name.startswith("cam/"):
+        return IMAGE
+    return "float" if isinstance(value, (int, float)) and not isinstance(value, bool) else "str"
 
 
 def _number(value: object) -> float:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tsjepa.data.readers.arrays import ACTION, ArrayRecording
+from tsjepa.data.readers.arrays import ACTION, ENDS_OF_EPISODES, ArrayRecording
 from tsjepa.data.readers.episode import Episode, Skipped, Streams, attempt
 from tsjepa.data.readers.pictures import natural
 from tsjepa.support.foreign import optional, refuse_pointers
@@ -61,6 +61,8 @@ class Hdf5:
                     yield from self.recording.episodes(name, arrays)
 
     def _groups(self, file: Path, opened) -> list[tuple[str, object]]:
+        if any(key in opened for key in (ENDS_OF_EPISODES, f"meta/{ENDS_OF_EPISODES}")):
+            return [(file.name, opened)]
         for parent in (opened.get("data"), opened):
             if names := groups_of_episodes(parent):
                 label = "" if len(self.files) == 1 else f"{file.name} "
@@ -97,6 +99,8 @@ def groups_of_episodes(parent) -> list[str]:
 
 def layout(file) -> str:
     """Whose layout a file has."""
+    if any(key in file for key in (ENDS_OF_EPISODES, f"meta/{ENDS_OF_EPISODES}")):
+        return "a replay buffer"
     if groups_of_episodes(file.get("data")):
         return "robomimic's layout"
     if groups_of_episodes(file):

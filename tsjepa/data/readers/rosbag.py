@@ -7,9 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
+from tsjepa.data.readers.bounded import BoundedPath
 from tsjepa.data.readers.episode import Episode, Frames, Skipped, Streams, attempt, check_picture_size
 from tsjepa.data.readers.names import units_of
-from tsjepa.data.readers.pictures import decode_picture
+from tsjepa.data.readers.pictures import decode_picture, natural
 from tsjepa.support.foreign import optional, refuse_pointers
 
 SUFFIXES = (".db3", ".mcap", ".bag")
@@ -137,7 +138,10 @@ def open_bag(path: Path):
     """A bag opened through rosbags; a bag without message definitions is read as ROS 2 Humble's."""
     highlevel, typesys = optional("rosbags.highlevel"), optional("rosbags.typesys")
     store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
-    return highlevel.AnyReader([path], default_typestore=store)
+    paths = [path]
+    if path.is_dir() and not (path / "metadata.yaml").is_file():
+        paths = sorted((file for file in path.iterdir() if file.suffix in SUFFIXES), key=natural)
+    return highlevel.AnyReader([BoundedPath(part) for part in paths], default_typestore=store)
 
 
 def numbers(message: object, prefix: str = "") -> Iterator[tuple[str, float]]:

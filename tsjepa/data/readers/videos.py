@@ -7,12 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from tsjepa.data.readers import names, pictures, video
-from tsjepa.data.readers.episode import Episode, Frames, Skipped, Streams, attempt
+from tsjepa.data.readers import names, numbered, pictures, video
+from tsjepa.data.readers.episode import Episode, Frames, Skipped, Streams, attempt, ranges
 from tsjepa.support import delimited, stamps, tables
 from tsjepa.support.foreign import refuse_pointers
 
-PICTURE = ("image", "picture", "frame_file", "image_file", "image_path")
 EPISODES = ("episode_index", "episode", "episode_id", "video", "file", "filename", "clip")
 
 
@@ -46,6 +45,9 @@ class Videos:
                 self.folders.setdefault(file.parent, []).append(file)
         self.tables = [file for file in files if delimited.kind(file) in tables.SUFFIXES]
         refuse_pointers(self.clips or self.tables)
+        others = [file for file in self.tables if delimited.kind(file) == ".json" and not self._is_table(file)]
+        self.notes += [f"{file.name} is no table of rows and is left out." for file in others]
+        self.tables = [file for file in self.tables if file not in others]
         self.cameras, self.others = [], []
         self.format = "folder of videos" if self.clips else "folder of pictures"
         if not self.tables:
@@ -56,6 +58,12 @@ class Videos:
             )
         self._sources: list[Path] = self._of_one_camera(self.clips or list(self.folders))
         self._used: set[Path] = set()
+
+    @staticmethod
+    def _is_table(file: Path) -> bool:
+        """Whether a JSON file holds rows, and not settings or a calibration."""
+        rows = attempt(file.name, lambda: tables.read_json_rows(file))
+        return not isinstance(rows, Skipped) and len(rows) > 1
 
     def _of_one_camera(self, sources: list[Path]) -> list[Path]:
         """Those of ``sources`` that show different episodes: several beside one table, each with a picture for every
@@ -84,7 +92,7 @@ class Videos:
         if any(delimited.stem(table) in (source.name, source.stem) for source in sources):
             return False
         columns = attempt(table.name, lambda: tables.read_table(table))
-        if isinstance(columns, Skipped) or not columns or any(name in columns for name in EPISODES):
+        if isinstance(columns, Skipped) or not columns or self._key(columns):
             return False
         rows = len(next(iter(columns.values())))
         counts = [attempt(source.name, lambda source=source: self._count(source)) for source in sources]
@@ -103,15 +111,20 @@ class Videos:
 
     def _episode(self, source: Path) -> Episode:
         table = self._rows_of(source)
+        listed, shown = self._listed(table)
+        notes = []
+        if source in self.folders and listed is None and self.folders[source]:
+            rows = numbered.rows_of_pictures(self.folders[source], table)
+            if rows is not None:
+                table, notes = self._take(table, rows)
         times = stamps.time_column(table, self.streams.time)
         skip = {times[0]} if times else set()
         action_names, action = names.columns_like(table, self.streams.action, "action", skip)
         if not action_names:
             others = [name for name, column in table.items() if column.dtype != object and name not in skip]
             raise ValueError(f"no column is called a command; say which of {', '.join(others)} are (--action).")
-        listed = self._listed(table)
         state_names, state = names.columns_like(table, self.streams.state, "state", {*skip, *action_names})
-        taken = {*skip, *action_names, *state_names, *PICTURE}
+        taken = {*skip, *action_names, *state_names, *shown}
         self.others += [name for name in table if name not in {*taken, *self.others}]
         return Episode(
             name=source.name,
@@ -123,14 +136,34 @@ class Videos:
             state_names=state_names,
             state_units=names.units_of(state_names),
             times=times[1] if times else None,
-            paired=times is None or listed is not None,
+            paired=times is None or listed is not None or bool(notes),
+            notes=notes,
         )
 
-    @staticmethod
-    def _listed(table: tables.Table) -> list[str] | None:
-        """File names of the pictures, where the rows have a column of them."""
-        column = next((column for name, column in table.items() if name in PICTURE), None)
-        return None if column is None or column.dtype != object else [Path(str(cell)).name for cell in column]
+    def _take(self, table: tables.Table, rows: np.ndarray) -> tuple[tables.Table, list[str]]:
+        """Those rows that have a picture, and what is said about the others; numbered rows have times by their rate."""
+        count = len(next(iter(table.values())))
+        lost = sorted(set(range(count)) - set(rows.tolist()))
+        note = f"{len(lost)} of {count} rows have no picture ({ranges(lost)}) and are left out." if lost else (
+            "its pictures stand in the order of their numbers, the rows in another."
+        )  # fmt: skip
+        if stamps.time_column(table, self.streams.time) is None and lost:
+            if not self.streams.rate_hz:
+                raise ValueError(f"{note[:-1]}; say how many there are a second (--rate_hz).")
+            table = {**table, "time": np.arange(count) / self.streams.rate_hz}
+        return {name: column[rows] for name, column in table.items()}, [note]
+
+    def _listed(self, table: tables.Table) -> tuple[list[str] | None, list[str]]:
+        """File names of the camera's pictures, where the rows have a column of them, and all such columns."""
+        columns = numbered.picture_columns(table)
+        if not columns:
+            return None, []
+        if len(columns) > 1:
+            self.cameras += [name for name in columns if name not in self.cameras]
+            note = f"It has the cameras {', '.join(columns)}; the first is taken."
+            self.notes += [note] if note not in self.notes and self.streams.camera is None else []
+        chosen = self.streams.camera if self.streams.camera in columns else columns[0]
+        return [numbered.file_name(cell) for cell in table[chosen]], columns
 
     def _frames(self, source: Path, listed: list[str] | None) -> Frames:
         if source not in self.folders:
@@ -142,11 +175,17 @@ class Videos:
             if lost:
                 raise ValueError(f"{len(lost)} of the {len(listed)} pictures of its rows are not there ({lost[0]}).")
             return pictures.picture_files([known[name] for name in listed])
-        labels = [file.stem for file in files]
-        times = None
-        if all(label.isdigit() and len(label) >= 10 for label in labels):  # since 1970
-            times = stamps.as_seconds(np.array([int(label) for label in labels]), 1.0)
+        times = numbered.times_in_names(files)
+        if times is not None:
+            order = np.argsort(times, kind="stable")
+            files, times = [files[place] for place in order], times[order]
         return pictures.picture_files(files, times)
+
+    @staticmethod
+    def _key(table: tables.Table) -> str | None:
+        """The column that tells episodes apart."""
+        shown = numbered.picture_columns(table)
+        return next((name for name in EPISODES if name in table and name not in shown), None)
 
     def _rows_of(self, source: Path) -> tables.Table:
         """The rows that belong to a video or a folder of pictures.
@@ -166,7 +205,7 @@ class Videos:
         table = tables.read_table(own[0])
         if not table or not len(next(iter(table.values()))):
             raise ValueError(f"its table {own[0].name} holds no rows.")
-        key = next((name for name in EPISODES if name in table), None)
+        key = self._key(table)
         if key is None:
             alone = own[0].parent == source.parent and self._only(source)
             if len(self._sources) > 1 and delimited.stem(own[0]) != stem and own[0].parent != source and not alone:
