@@ -72,8 +72,8 @@ def watched(
         )
     key = "embedding" if sees else "state"
     requests = Requests() if radio.requests is None else radio.requests
-    asking = {} if scheduler == TRUE else {"code": requests.code(), "delay": requests.delay}
-    says = Urgency(twin, key, **asking, first_contact=scheduler == FIRST)
+    code, delay = (None, 0) if scheduler == TRUE else (requests.code(), requests.delay)
+    says = Urgency(twin, key, code, delay, first_contact=scheduler == FIRST)
     rest = [part for part in chain[place:] if part not in sees]
     return [*chain[:place], *sees, says, *rest]
 
