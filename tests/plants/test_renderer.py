@@ -7,7 +7,6 @@ import pickle
 import subprocess
 import sys
 
-import mujoco
 import numpy as np
 import pytest
 
@@ -159,7 +158,7 @@ def test_without_a_backend_the_message_says_what_to_install(monkeypatch):
     def broken(width, height):
         raise ImportError("no display")
 
-    monkeypatch.setattr(mujoco, "GLContext", broken)
+    monkeypatch.setattr("tsjepa.plants.renderer.context_class", lambda: broken)
     with pytest.raises(RuntimeError, match="install EGL"):
         make().render(np.zeros((1, 2)))
 

@@ -56,3 +56,17 @@ def test_egl_without_a_vendor_is_found_not_to_work(monkeypatch):
     monkeypatch.setenv("__EGL_VENDOR_LIBRARY_DIRS", "/nonexistent")
     monkeypatch.setenv("__EGL_VENDOR_LIBRARY_FILENAMES", "/nonexistent")
     assert not gl._egl_works()
+
+
+@pytest.mark.slow
+def test_a_program_that_imports_mujoco_first_draws_too():
+    program = """
+import mujoco, numpy as np
+from tsjepa.plants import CartPole
+plant, row = CartPole(), np.zeros(1, np.int64)
+print(plant.render(plant.scene(plant.start(0, row, row), 0, row, row)).max())
+"""
+    environment = {name: value for name, value in os.environ.items() if name != "MUJOCO_GL"}
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, env=environment)
+    assert done.returncode == 0, done.stderr
+    assert int(done.stdout) > 100

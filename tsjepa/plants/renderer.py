@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 
 from tsjepa.plants.lens import Lens, View, rectangles
-from tsjepa.support.gl import missing_backend_message
+from tsjepa.support.gl import context_class, missing_backend_message
 
 DEFAULT_RGBA = (0.5, 0.5, 0.5, 1.0)  # of a geom that names no colour
 DISABLED = ("SHADOW", "REFLECTION", "SKYBOX", "FOG", "HAZE")
@@ -160,7 +160,7 @@ class Renderer:
         self.model.vis.quality.offsamples = self.view.samples
         self.model.vis.global_.fovy = self.view.fovy
         try:
-            gl = mujoco.GLContext(width, height)
+            gl = context_class()(width, height)
             gl.make_current()
             # without any GL library it is only here that MuJoCo notices
             self._context = mujoco.MjrContext(self.model, mujoco.mjtFontScale.mjFONTSCALE_100)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import ctypes
 import ctypes.util
+import importlib
 import os
 import subprocess
 import sys
@@ -35,6 +36,16 @@ def choose_backend() -> str | None:
     elif has_osmesa:
         os.environ["MUJOCO_GL"] = "osmesa"
     return os.environ.get("MUJOCO_GL")
+
+
+def context_class() -> type:
+    """MuJoCo's GL context for the backend in force.
+
+    ``mujoco.GLContext`` is chosen when mujoco is imported, and a program may do that before it imports this package.
+    """
+    backend = os.environ.get("MUJOCO_GL", "")
+    module = f"mujoco.{backend}" if backend in ("egl", "osmesa") else "mujoco"
+    return importlib.import_module(module).GLContext
 
 
 def missing_backend_message() -> str:
