@@ -5,8 +5,8 @@ import math
 import pytest
 import torch
 
-from tsjepa.radio import Known, whittle_index
-from tsjepa.radio.cost import age_cost, age_cost_table, cost_weight, cost_whittle_index, surviving_cost_table
+from tsjepa.radio import Known
+from tsjepa.radio.cost import age_cost, age_cost_table, cost_weight, surviving_cost_table
 from tsjepa.radio.schedulers import channel_aware, max_age, whittle
 
 A = torch.tensor([[1.0, 0.1], [0.05, 1.1]], dtype=torch.float64)
@@ -84,13 +84,6 @@ def test_the_weight_of_a_linear_cost_is_its_slope():
     own = 1 + torch.log1p(ages.double())
     torch.testing.assert_close(own * cost_weight(table, ages, growth="logarithmic"), 3.0 * ages.double())
     assert cost_weight(table, ages, demand=torch.tensor([1, 2, 3])).tolist() == [3.0, 1.5, 1.0]
-
-
-@pytest.mark.parametrize("success", [0.3, 0.7, 1.0])
-def test_the_index_of_a_linear_cost_is_the_known_one(success):
-    table, ages = 2.0 * torch.arange(400, dtype=torch.float64), torch.arange(1, 60)
-    p = torch.full((59,), success, dtype=torch.float64)
-    torch.testing.assert_close(cost_whittle_index(table, ages, p), whittle_index(ages, p, 2.0), rtol=1e-6, atol=1e-6)
 
 
 def mean_cost(scheduler, growth=None, slots=600, devices=40, blocks=3):

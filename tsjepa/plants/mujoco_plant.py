@@ -197,6 +197,8 @@ def jumping_set_point(
     seed: int, device: np.ndarray, episode: np.ndarray, slot: np.ndarray, step: float, hold_slots: int
 ) -> np.ndarray:
     """Set-points [N, 1] that are drawn anew, plus or minus ``step``, every ``hold_slots`` slots."""
+    if step == 0:
+        return np.zeros((*np.broadcast_shapes(device.shape, episode.shape, slot.shape), 1))
     return step * np.sign(uniforms(seed, REFERENCE, device, episode, slot // hold_slots, 1) - 0.5)
 
 

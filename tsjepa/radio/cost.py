@@ -104,26 +104,3 @@ def cost_weight(table: Tensor, ages: Tensor, demand: Tensor | None = None, growt
         raise ValueError(f"unknown growth {growth!r}: choose one of {', '.join(own)}")
     weight = age_cost(table, ages) / own[growth]
     return weight if demand is None else weight / demand.clamp(min=1)
-
-
-def cost_whittle_index(table: Tensor, ages: Tensor, success: Tensor, terms: int = 64) -> Tensor:
-    """Whittle index of a device whose cost is any function f of its age (Tripathi and Modiano, 2019).
-
-    p^2 h sum_{k >= 1} f(h + k) (1 - p)^(k - 1) - p sum_{j <= h} f(j), which is ``whittle_index`` for f(h) = a h. The
-    first sum is cut after ``terms``, the rest of its weight given to the last one.
-
-    Args:
-        table: f, as of :func:`age_cost_table`.
-        ages: h [..., I], slots since the last delivery, >= 1.
-        success: p [..., I].
-
-    Returns:
-        float64 [..., I].
-    """
-    success = success.to(torch.float64)
-    step = torch.arange(1, terms + 1, device=ages.device)
-    share = success.unsqueeze(-1) * (1.0 - success.unsqueeze(-1)) ** (step - 1)
-    share[..., -1] += (1.0 - success) ** terms
-    ahead = torch.stack([age_cost(table, ages + k) for k in step], -1)
-    summed = age_cost(table.cumsum(-1), ages)
-    return success * (ages * (share * ahead).sum(-1) - summed)
