@@ -12,6 +12,7 @@ from tsjepa.live.ending import run_until_stopped, stages_line, write_report
 from tsjepa.live.graphs import Graphs
 from tsjepa.live.packet import most_commands
 from tsjepa.live.port import parse_address
+from tsjepa.live.recorded import recorded
 from tsjepa.live.seal import read_key
 from tsjepa.support.checks import at_least, within
 
@@ -31,6 +32,7 @@ def controller(
     realtime_factor: float = 1.0,
     log: str | None = None,
     report: str | None = None,
+    record: str | None = None,
 ) -> dict:
     """Controls devices in real time until SIGINT or SIGTERM.
 
@@ -49,6 +51,8 @@ def controller(
         realtime_factor: how fast time passes, as at the devices.
         log: CSV file that lists every update that was used.
         report: JSON file for what happened.
+        record: path of an ``.rrd`` file for the Rerun viewer: the age behind every command. It is opened together with
+            that of the devices. Needs ``pip install 'tsjepa[record]'``.
 
     Raises:
         ValueError: an argument that cannot be.
@@ -67,7 +71,9 @@ def controller(
         lines = files.enter_context(open(log, "w", buffering=1)) if log else None
         if lines:
             lines.write("time_s,device,slot\n")
-        loop = Controller(run, num_devices, parse_address(bind), read_key(key), weather, buffer, realtime_factor, lines)
+        write = files.enter_context(recorded(record, run.spec, range(num_devices)))
+        address, seal = parse_address(bind), read_key(key)
+        loop = Controller(run, num_devices, address, seal, weather, buffer, realtime_factor, lines, write)
         run_until_stopped(lambda stop: loop.run(math.inf if seconds is None else seconds, stop))
     result = loop.summary()
     write_report(report, result)

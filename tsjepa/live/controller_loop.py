@@ -14,6 +14,7 @@ from tsjepa.live.graphs import Graphs
 from tsjepa.live.link import Link
 from tsjepa.live.packet import COMMAND, UPDATE, Command, Dropped, Header, read_update
 from tsjepa.live.port import Address, Port
+from tsjepa.live.recorded import Record
 from tsjepa.live.seal import Seal
 from tsjepa.live.timing import Ages, Durations
 
@@ -36,6 +37,7 @@ class Controller:
         buffer: N, commands in a packet.
         realtime_factor: how fast time passes, as at the devices.
         log: is written a line "seconds,device,slot" for every update that is used.
+        record: takes the age behind every command, in the slot that it is for; None for nobody.
     """
 
     def __init__(
@@ -48,8 +50,9 @@ class Controller:
         buffer: int = 1,
         realtime_factor: float = 1.0,
         log: TextIO | None = None,
+        record: Record | None = None,
     ) -> None:
-        self.graphs, self.seal, self.weather, self.log = graphs, seal, weather, log
+        self.graphs, self.seal, self.weather, self.log, self.record = graphs, seal, weather, log, record
         self.beliefs = Beliefs(graphs, devices, buffer)
         self.links = [Link(number) for number in range(devices)]
         self.addresses: list[Address | None] = [None] * devices
@@ -177,6 +180,8 @@ class Controller:
             if self.weather is not None:
                 delay = self.weather.delay(number, 0, int(slot)) / self.realtime_factor
             self.counts["commands"] += 1
+            if self.record is not None:
+                self.record(number, int(slot), {}, {"age": self.beliefs.age(np.array([number]))})
             if delay == math.inf:
                 self.counts["lost"] += 1
             elif delay:

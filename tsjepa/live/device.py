@@ -12,6 +12,7 @@ from tsjepa.live.device_loop import Device
 from tsjepa.live.ending import run_until_stopped, stages_line, write_report
 from tsjepa.live.graphs import Graphs
 from tsjepa.live.port import parse_address
+from tsjepa.live.recorded import recorded
 from tsjepa.live.seal import read_key
 from tsjepa.support.checks import at_least, within
 
@@ -40,6 +41,7 @@ def device(
     seed: int = 0,
     realtime_factor: float = 1.0,
     report: str | None = None,
+    record: str | None = None,
 ) -> dict:
     """Runs a device, or several, in real time until SIGINT or SIGTERM. The controller may be anywhere, and may restart.
 
@@ -65,6 +67,8 @@ def device(
         seed: of the simulated plant and of all losses, as that of ``tsjepa simulate``.
         realtime_factor: how fast time passes; 0.5 on a machine that is half as fast as it had to be.
         report: JSON file for what happened.
+        record: path of an ``.rrd`` file for the Rerun viewer: pictures, states, commands and what was sent. Needs
+            ``pip install 'tsjepa[record]'``.
 
     Raises:
         ValueError: an argument that cannot be.
@@ -84,19 +88,21 @@ def device(
         if num_devices > 1:
             raise ValueError(f"num_devices is {num_devices}; a process with a camera is one device.")
         machine = Camera(camera, find_actuator(actuator), run.frame, run.frame_stack, run.frame_spacing)
-    loop = Device(
-        run,
-        machine,
-        numbers,
-        parse_address(controller),
-        read_key(key),
-        weather,
-        period,
-        1e-3 * watchdog_ms,
-        None if safe is None else checked_safe(safe, run),
-        realtime_factor,
-    )
-    run_until_stopped(lambda stop: loop.run(slots, stop))
+    with recorded(record, run.spec if camera else machine.plant.spec, numbers) as write:
+        loop = Device(
+            run,
+            machine,
+            numbers,
+            parse_address(controller),
+            read_key(key),
+            weather,
+            period,
+            1e-3 * watchdog_ms,
+            None if safe is None else checked_safe(safe, run),
+            realtime_factor,
+            write,
+        )
+        run_until_stopped(lambda stop: loop.run(slots, stop))
     if camera is not None:
         machine.close()
     result = loop.summary()

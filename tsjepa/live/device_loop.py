@@ -14,6 +14,7 @@ from tsjepa.live.link import Link
 from tsjepa.live.packet import COMMAND, HELLO, UPDATE, Dropped, Update, read_command
 from tsjepa.live.plans import Plans
 from tsjepa.live.port import Address, Port
+from tsjepa.live.recorded import Record
 from tsjepa.live.seal import Seal
 from tsjepa.live.timing import Durations, Metronome
 
@@ -35,6 +36,7 @@ class Device:
         watchdog_s: seconds without a command after which the safe command is in force.
         safe: that command [m]; None for the one nearest to zero.
         realtime_factor: how fast time passes; at 0.5 all that is said in seconds takes twice as long.
+        record: takes what every device saw, did and sent in every slot; None for nobody.
     """
 
     def __init__(
@@ -49,6 +51,7 @@ class Device:
         watchdog_s: float = 0.2,
         safe: np.ndarray | None = None,
         realtime_factor: float = 1.0,
+        record: Record | None = None,
     ) -> None:
         self.graphs, self.machine, self.seal, self.weather, self.period = graphs, machine, seal, weather, period
         self.links = {number: Link(number) for number in numbers}
@@ -61,6 +64,8 @@ class Device:
         self.slot, self.first = 0, 0  # of all, and of this episode
         self.late = 0
         self.counts = dict.fromkeys(("sent", "lost", "commands", "safe", "held"), 0)
+        self.record, self.seen = record, np.empty(0)
+        self.radio = {number: [False, False] for number in numbers}  # sent, and not lost on purpose, in this slot
         self.port = Port(self.hear, connect=controller)
 
     async def run(self, slots: int | None, stop: asyncio.Event) -> None:
@@ -94,6 +99,7 @@ class Device:
             self.apply()
         with self.stages["capture"].timed():
             frames = self.machine.look()
+        self.seen, self.radio = frames, {number: [False, False] for number in self.links}
         if (self.slot - self.first) % self.period:
             return
         with self.stages["encode"].timed():
@@ -112,6 +118,7 @@ class Device:
             episode, slot = self.machine.place or (0, self.slot)
             delay = self.weather.delay(number, episode, slot) / self.realtime_factor
         self.counts["sent"] += 1
+        self.radio[number] = [True, delay != math.inf]
         if delay == math.inf:
             self.counts["lost"] += 1
         elif delay:
@@ -158,8 +165,12 @@ class Device:
     def apply(self) -> bool:
         """Has the machine do what is in force; returns whether a new episode begins."""
         with self.stages["apply"].timed():
-            commands = [self.in_force(number) for number in self.links]
-            return self.machine.act(np.stack([self.safe if command is None else command for command in commands]))
+            return self.machine.act(self.commands())
+
+    def commands(self) -> np.ndarray:
+        """What is in force [n, m]."""
+        commands = [self.in_force(number) for number in self.links]
+        return np.stack([self.safe if command is None else command for command in commands])
 
     def end_slot(self) -> None:
         """Ends this slot; a machine that steps once a slot does it now."""
@@ -167,12 +178,23 @@ class Device:
             safe = self.in_force(number) is None
             self.counts["safe"] += safe
             self.counts["held"] += not safe and plans.begun < self.slot
+        if self.record is not None:
+            self.write_slot(self.record)
         begins = not self.machine.at_once and self.apply()
         self.slot += 1
         if begins:
             self.first = self.slot
             for plans in self.plans.values():
                 plans.clear()
+
+    def write_slot(self, record: Record) -> None:
+        """Has this slot recorded: the newest picture, the true state of a simulated plant, command and radio."""
+        commands, state = self.commands(), getattr(self.machine, "state", None)
+        for row, number in enumerate(self.links):
+            numbers = {"command": commands[row], "radio": np.array(self.radio[number])}
+            if state is not None:
+                numbers["state"] = state[row]
+            record(number, self.slot, {"camera": self.seen[row, -1]}, numbers)
 
     def summary(self) -> dict:
         """What happened, as plain values."""

@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from tsjepa.support.spec import PlantSpec
+
 DESCRIPTION = "deployment.json"
 WANTED = ("frame", "command_low", "command_high", "plant")  # that earlier versions did not write
 
@@ -51,6 +53,11 @@ class Graphs:
     def rest(self) -> np.ndarray:
         """The command [m] that is nearest to zero."""
         return np.clip(np.float32(0), self.low, self.high)
+
+    @property
+    def spec(self) -> PlantSpec:
+        """What a deployment says of its machine: commands, slot and pictures."""
+        return PlantSpec(tuple(self.low.tolist()), tuple(self.high.tolist()), self.slot, self.frame)
 
     @property
     def has_predictor(self) -> bool:
