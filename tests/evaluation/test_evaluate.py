@@ -232,6 +232,15 @@ def test_probed_prediction_error_of_a_perfect_prediction_and_of_a_copy():
     torch.testing.assert_close(copied, torch.arange(1.0, 11.0) / deviation)
 
 
+def test_states_that_never_change_say_nothing_about_a_prediction():
+    state = torch.arange(30.0).repeat(2, 1)[..., None].expand(2, 30, 4)
+    still = torch.cat([state[..., :2], torch.full((2, 30, 2), 3.0)], -1)  # where the probe reads what moves
+    values = {"embedding": state, "state": still, "action": torch.ones(2, 30, 1)}
+    predicted, copied = probed_prediction_error(Line(), TensorDict(values, batch_size=[2, 30]), longest=10)
+    torch.testing.assert_close(predicted, torch.zeros(10))
+    torch.testing.assert_close(copied, torch.arange(1.0, 11.0) / state.flatten(0, 1).std(0)[0])
+
+
 def test_commands_are_compared_with_the_experts_or_else_with_those_of_the_recording():
     values = {"embedding": torch.zeros(3, 4), "action": torch.full((3, 1), 4.0)}
     rows = TensorDict(values, batch_size=[3])

@@ -92,7 +92,8 @@ def probed(model: Controller, embedding: Tensor) -> Tensor:
 def probed_prediction_error(model: Controller, embedded: TensorDictBase, longest: int) -> tuple[Tensor, Tensor]:
     """Distance of the probed state to the truth, for prediction and copied embedding, at horizons 1..longest.
 
-    Every component of the state is divided by its standard deviation over the data before the root mean square.
+    Every component of the state is divided by its standard deviation over the data before the root mean square;
+    components that never change in the data are left out.
 
     Args:
         embedded: [episodes, slots] with ``embedding``, ``action``, ``state``.
@@ -105,9 +106,12 @@ def probed_prediction_error(model: Controller, embedded: TensorDictBase, longest
     origin = torch.stack([embedded["embedding"][:, start] for start in starts])
     commands = torch.stack([embedded["action"][:, start : start + longest] for start in starts])
     truth = torch.stack([embedded["state"][:, start + 1 : start + longest + 1] for start in starts])
-    scale = embedded["state"].flatten(0, 1).std(0)
+    state = embedded["state"].flatten(0, 1)
+    moves, scale = state.amax(0) > state.amin(0), state.std(0)
+    if not moves.any():
+        moves, scale = ~moves, torch.ones_like(scale)
 
     def error(states: Tensor) -> Tensor:
-        return ((states - truth) / scale).square().mean((0, 1, 3)).sqrt()
+        return ((states - truth) / scale)[..., moves].square().mean((0, 1, 3)).sqrt()
 
     return error(model.probe(rollout(model.predictor, origin, commands))), error(model.probe(origin)[..., None, :])
