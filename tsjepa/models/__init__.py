@@ -4,6 +4,7 @@ from tsjepa.models.actor import Actor
 from tsjepa.models.autoencoder import AutoencoderController, StateEstimator
 from tsjepa.models.controller import Controller
 from tsjepa.models.decoder import Decoder
+from tsjepa.models.difference_encoder import DifferenceEncoder
 from tsjepa.models.encoder import Encoder
 from tsjepa.models.hierarchy import HierarchicalPredictor
 from tsjepa.models.onnx_encoder import OnnxEncoder
@@ -17,6 +18,7 @@ __all__ = [
     "AutoencoderController",
     "Controller",
     "Decoder",
+    "DifferenceEncoder",
     "Encoder",
     "HierarchicalPredictor",
     "OnnxEncoder",

@@ -63,7 +63,61 @@ class ResidualBlock(nn.Module):
         return F.relu(self.norm2(self.conv2(y)) + self.shortcut(F.avg_pool2d(x, 1, self.stride)))
 
 
-class Encoder(nn.Module):
+class PatchEncoder(nn.Module):
+    """What encoders share that see a stack of frames as normalised 4x4 patches: a subclass has ``embed``.
+
+    Args:
+        frame_stack: frames per embedding (kappa of the paper), oldest first.
+        embedding_dim: d.
+        height, width: of a frame in pixels, multiples of 4.
+        grey: read the luma of every pixel instead of its three colours.
+    """
+
+    def __init__(self, frame_stack: int, embedding_dim: int, height: int, width: int, grey: bool) -> None:
+        super().__init__()
+        at_least(1, frame_stack=frame_stack, embedding_dim=embedding_dim)
+        self.frame_shape = (frame_stack, height, width, 3)
+        self.frame_stack, self.height, self.width = frame_stack, height, width
+        self.embedding_dim, self.grey = embedding_dim, grey
+        mean, std = torch.tensor(PIXEL_MEAN), torch.tensor(PIXEL_STD)
+        self.register_buffer("pixel_scale", (1 / (255 * std)).repeat(PATCH**2 * frame_stack), persistent=False)
+        self.register_buffer("pixel_shift", (-mean / std).repeat(PATCH**2 * frame_stack), persistent=False)
+        # what is seen of a normalised pixel; None where all three colours are
+        self.register_buffer("color_mix", torch.tensor([LUMA]) if grey else None, persistent=False)
+        if grey:
+            self.register_buffer("grey_scale", torch.tensor(LUMA) / (255 * std), persistent=False)
+            self.register_buffer("grey_shift", -(torch.tensor(LUMA) * mean / std).sum(), persistent=False)
+
+    def normalize(self, frames: Tensor) -> Tensor:
+        """uint8 frames [N, frame_stack, H, W, 3] to normalised patches [N, H / 4, W / 4, 16 * C * frame_stack], where
+        C is 1 if ``grey``, else 3."""
+        if self.grey:
+            return patchify((frames.to(self.grey_scale.dtype) @ self.grey_scale + self.grey_shift)[..., None])
+        # in place: at 64 observations the two buffers that this spares cost as much as a third of the network
+        return patchify(frames).to(self.pixel_scale.dtype).mul_(self.pixel_scale).add_(self.pixel_shift)
+
+    def forward(self, frames: Tensor) -> Tensor:
+        """Embeds stacks of frames.
+
+        Args:
+            frames: uint8 [..., frame_stack, H, W, 3], oldest frame first.
+
+        Returns:
+            Embeddings [..., d] of unit length.
+
+        Raises:
+            ValueError: the dtype is not uint8 or the trailing shape is not the encoder's.
+        """
+        if frames.dtype != torch.uint8 or tuple(frames.shape[-4:]) != self.frame_shape:
+            raise ValueError(
+                f"The encoder takes uint8 frames of shape [..., {', '.join(map(str, self.frame_shape))}] "
+                f"(frame_stack, H, W, 3), not {frames.dtype} {list(frames.shape)}; stack the frames oldest first."
+            )
+        embedding = self.embed(self.normalize(frames.reshape(-1, *self.frame_shape)))
+        return embedding.reshape(*frames.shape[:-4], self.embedding_dim)
+
+
+class Encoder(PatchEncoder):
     """Residual network with three stages, flattened (pooling loses the cart's position) and projected to ``d``.
 
     The stem rearranges the picture into 4x4 patches and runs a convolution over them; of 3x3 patches that is a 12x12
@@ -91,8 +145,8 @@ class Encoder(nn.Module):
         grey: bool = False,
         stem_kernel: int = 3,
     ) -> None:
-        super().__init__()
-        at_least(1, frame_stack=frame_stack, embedding_dim=embedding_dim, stem_kernel=stem_kernel)
+        super().__init__(frame_stack, embedding_dim, height, width, grey)
+        at_least(1, stem_kernel=stem_kernel)
         if stem_kernel % 2 == 0:
             raise ValueError(f"stem_kernel = {stem_kernel} is even; take 1 or 3, so that the kernel has a middle.")
         if len(widths) != 3 or min(widths) < 1 or height % 32 or width % 32:
@@ -100,9 +154,7 @@ class Encoder(nn.Module):
                 f"The encoder takes three widths of at least 1 and a frame whose sides are multiples of 32, not "
                 f"{list(widths)} and {height} x {width}."
             )
-        self.frame_shape = (frame_stack, height, width, 3)
-        self.frame_stack, self.height, self.width = frame_stack, height, width
-        self.embedding_dim, self.widths, self.grey, self.stem_kernel = embedding_dim, tuple(widths), grey, stem_kernel
+        self.widths, self.stem_kernel = tuple(widths), stem_kernel
         first, second, third = widths
         colors = 1 if grey else 3
         self.stem = nn.Sequential(
@@ -114,14 +166,6 @@ class Encoder(nn.Module):
             ResidualBlock(first, first, 2), ResidualBlock(first, second, 2), ResidualBlock(second, third, 2)
         )
         self.project = nn.Linear(third * (height // 32) * (width // 32), embedding_dim)
-        mean, std = torch.tensor(PIXEL_MEAN), torch.tensor(PIXEL_STD)
-        self.register_buffer("pixel_scale", (1 / (255 * std)).repeat(PATCH**2 * frame_stack), persistent=False)
-        self.register_buffer("pixel_shift", (-mean / std).repeat(PATCH**2 * frame_stack), persistent=False)
-        # what the stem sees of a normalised pixel; None where it sees all three colours
-        self.register_buffer("color_mix", torch.tensor([LUMA]) if grey else None, persistent=False)
-        if grey:
-            self.register_buffer("grey_scale", torch.tensor(LUMA) / (255 * std), persistent=False)
-            self.register_buffer("grey_shift", -(torch.tensor(LUMA) * mean / std).sum(), persistent=False)
         self.to(memory_format=torch.channels_last)
 
     @property
@@ -130,36 +174,8 @@ class Encoder(nn.Module):
         is_last = self.stages[0].conv1.weight.is_contiguous(memory_format=torch.channels_last)
         return torch.channels_last if is_last else torch.contiguous_format
 
-    def normalize(self, frames: Tensor) -> Tensor:
-        """uint8 frames [N, frame_stack, H, W, 3] to normalised patches [N, H / 4, W / 4, 16 * C * frame_stack], where
-        C is 1 if ``grey``, else 3."""
-        if self.grey:
-            return patchify((frames.to(self.grey_scale.dtype) @ self.grey_scale + self.grey_shift)[..., None])
-        # in place: at 64 observations the two buffers that this spares cost as much as a third of the network
-        return patchify(frames).to(self.pixel_scale.dtype).mul_(self.pixel_scale).add_(self.pixel_shift)
-
     def embed(self, patches: Tensor) -> Tensor:
         """Normalised patches [N, H / 4, W / 4, 16 * C * frame_stack] to embeddings [N, d] of unit length, float32."""
         picture = patches.permute(0, 3, 1, 2).contiguous(memory_format=self.memory_format)
         features = self.stages(self.stem(picture)).permute(0, 2, 3, 1).flatten(1)
         return F.normalize(self.project(features).float(), dim=-1)
-
-    def forward(self, frames: Tensor) -> Tensor:
-        """Embeds stacks of frames.
-
-        Args:
-            frames: uint8 [..., frame_stack, H, W, 3], oldest frame first.
-
-        Returns:
-            Embeddings [..., d] of unit length.
-
-        Raises:
-            ValueError: the dtype is not uint8 or the trailing shape is not the encoder's.
-        """
-        if frames.dtype != torch.uint8 or tuple(frames.shape[-4:]) != self.frame_shape:
-            raise ValueError(
-                f"The encoder takes uint8 frames of shape [..., {', '.join(map(str, self.frame_shape))}] "
-                f"(frame_stack, H, W, 3), not {frames.dtype} {list(frames.shape)}; stack the frames oldest first."
-            )
-        embedding = self.embed(self.normalize(frames.reshape(-1, *self.frame_shape)))
-        return embedding.reshape(*frames.shape[:-4], self.embedding_dim)
