@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import json
-import shlex
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 from tsjepa.models import entries
 from tsjepa.support.files import exclusive
 from tsjepa.support.journal import Journal
 from tsjepa.support.provenance import machine
+from tsjepa.zoo.child import run
 from tsjepa.zoo.figures import key_figures, table
 from tsjepa.zoo.steps import ENTRIES, commands
 
@@ -58,20 +55,6 @@ def train(name: str, seed: int = 0) -> Path:
     print(table([key_figures(str(entry)), *known]))
     print(f"The new entry, the first row, is in {entry}.")
     return entry
-
-
-def run(words: list[str]) -> float:
-    """Runs a command of the program in a process of its own; the seconds that it took.
-
-    Raises:
-        RuntimeError: it failed; it has said why.
-    """
-    print(f"tsjepa {shlex.join(words)}", flush=True)
-    began = time.monotonic()
-    status = subprocess.run([sys.executable, "-m", "tsjepa.cli", *words]).returncode
-    if status:
-        raise RuntimeError(f"`tsjepa {words[0]}` ended with status {status}: mend what it says, and start this again.")
-    return time.monotonic() - began
 
 
 def told(journal: Journal, name: str, seed: int) -> str:
