@@ -56,7 +56,11 @@ def test_there_is_no_commit_without_a_checkout(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize(
     ("module", "program"),
-    [("tsjepa.cli.step", "tsjepa"), ("tsjepa.cli.__main__", "tsjepa"), ("pytest.__main__", "python -m pytest.__main__")],
+    [
+        ("tsjepa.cli.step", "tsjepa"),
+        ("tsjepa.cli.__main__", "tsjepa"),
+        ("pytest.__main__", "python -m pytest.__main__"),
+    ],
 )
 def test_the_command_of_a_result_can_be_typed_again(monkeypatch, module, program):
     monkeypatch.setitem(sys.modules, "__main__", SimpleNamespace(__spec__=SimpleNamespace(name=module)))

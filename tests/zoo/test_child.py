@@ -1,4 +1,4 @@
-"""A command that ``tsjepa zoo train`` has started ends with it, however that ends, and the next start goes on from it."""
+"""A command that ``tsjepa zoo train`` has started ends with it, however that ends, and the next start goes on."""
 
 import signal
 import subprocess
@@ -14,7 +14,7 @@ from tsjepa import cli
 from tsjepa.models import entries
 from tsjepa.support.files import exclusive
 from tsjepa.zoo.child import run
-from tsjepa.zoo.steps import ENTRIES, commands
+from tsjepa.zoo.steps import ENTRIES, fits
 
 NAME = "tsjepa-cartpole-d16"
 HOME = Path("runs/zoo", NAME)
@@ -37,7 +37,9 @@ def test_sigterm_is_again_what_it_was_after_a_command():
 
 
 def test_a_step_ends_when_its_standard_input_is_closed():
-    code = "import time; from tsjepa.cli import step; step.end_with_parent(); print('ready', flush=True); time.sleep(600)"
+    code = (
+        "import time; from tsjepa.cli import step; step.end_with_parent(); print('ready', flush=True); time.sleep(600)"
+    )
     words = [sys.executable, "-c", code]
     with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
         assert process.stdout.readline() == b"ready\n"
@@ -80,32 +82,32 @@ def home(tmp_path, monkeypatch):
 
 def broken_off(end: signal.Signals) -> None:
     """Starts the training, ends its process in the middle of the first fit, and waits until the fit has ended too."""
-    checkpoint = HOME / "jepa/checkpoints/last.ckpt"
+    checkpoint = HOME / "seed0/jepa/checkpoints/last.ckpt"
     before = written(checkpoint)
     words = [sys.executable, "-m", "tsjepa.cli", "zoo", "train", NAME]
     with open("log.txt", "a") as log, subprocess.Popen(words, stdout=log, stderr=log) as parent:
         try:
             until(lambda: written(checkpoint) != before or parent.poll() is not None)
-            assert parent.poll() is None and not free(HOME / "jepa")
+            assert parent.poll() is None and not free(HOME / "seed0/jepa")
             parent.send_signal(end)
             assert parent.wait(PATIENCE) == ENDS[end]
         finally:
             parent.kill()
     if end == signal.SIGKILL:
-        until(lambda: free(HOME / "jepa"))
-    assert free(HOME / "jepa")  # who could pass the signal on has waited
-    assert not (HOME / "jepa/model").exists()
+        until(lambda: free(HOME / "seed0/jepa"))
+    assert free(HOME / "seed0/jepa")  # who could pass the signal on has waited
+    assert not (HOME / "seed0/jepa/model").exists()
 
 
 @pytest.mark.slow
 def test_a_fit_whose_parent_was_ended_ends_and_is_continued_to_the_same_weights(home):
     for end in ENDS:
         broken_off(end)
-    words = commands(ENTRIES[NAME], HOME.as_posix(), NAME, 0)["jepa"]
+    words = fits(ENTRIES[NAME], f"{HOME.as_posix()}/seed0", 0)["jepa"]
     assert cli.main([*words, "--ckpt_path", "last"]) == 0
-    continued = entries.load(HOME / "jepa/model").state_dict()
+    continued = entries.load(HOME / "seed0/jepa/model").state_dict()
     HOME.rename("continued")
     assert cli.main(words) == 0
-    undisturbed = entries.load(HOME / "jepa/model").state_dict()
+    undisturbed = entries.load(HOME / "seed0/jepa/model").state_dict()
     assert continued.keys() == undisturbed.keys()
     assert all(torch.equal(continued[key], undisturbed[key]) for key in continued)
