@@ -90,6 +90,19 @@ def test_a_model_with_figures_is_evaluated_as_they_were_measured_and_without_a_d
     assert "because no data set is given" in capsys.readouterr().out
 
 
+def test_other_sets_of_starts_are_chosen_by_their_first_number(evaluation, model, tmp_path):
+    usual, options = rows_of(evaluation[0]), {**SMALL, "periods": (5,), "video": False, "output": str(tmp_path)}
+    shifted = evaluate(model, first_seed=1, **options)
+    assert shifted["seeds"] == [1, 2] and shifted["starts"] == "2 seeds x 6"
+    own = rows_of(shifted)["TS-JEPA", 5]["per_seed"]
+    # the second of the usual sets is the first of these
+    assert own[0] == usual["TS-JEPA", 5]["per_seed"][1] and own[1] not in usual["TS-JEPA", 5]["per_seed"]
+    entry = str(entries.save(entries.load(model), tmp_path / "entry", {"seeds": [7, 8, 9]}))
+    assert evaluate(entry, **{**options, "seeds": None, "starts_per_seed": 2, "slots": 3})["seeds"] == [7, 8, 9]
+    with pytest.raises(ValueError, match="first_seed"):
+        evaluate(model, first_seed=-1, **options)
+
+
 def test_the_plant_may_be_another_one(model, tmp_path):
     plant = CartPole(start_half_widths=(0.01, 0.01, 0.0, 0.0))
     options = {**SMALL, "periods": (1,), "slots": 5, "video": False, "output": str(tmp_path)}

@@ -1,11 +1,13 @@
 """The commit in a result file is the code that made it."""
 
 import subprocess
+import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
-from tsjepa.support.provenance import commit_of
+from tsjepa.support.provenance import commit_of, provenance
 
 
 @pytest.fixture
@@ -50,3 +52,19 @@ def test_changed_code_is_said_to_be_changed(checkout, name):
 def test_there_is_no_commit_without_a_checkout(tmp_path, monkeypatch):
     monkeypatch.setenv("GIT_CEILING_DIRECTORIES", str(tmp_path.parent))
     assert commit_of(tmp_path) is None
+
+
+@pytest.mark.parametrize(
+    ("module", "program"),
+    [
+        ("tsjepa.cli.step", "tsjepa"),
+        ("tsjepa.cli.__main__", "tsjepa"),
+        ("pytest.__main__", "python -m pytest.__main__"),
+    ],
+)
+def test_the_command_of_a_result_can_be_typed_again(monkeypatch, module, program):
+    monkeypatch.setitem(sys.modules, "__main__", SimpleNamespace(__spec__=SimpleNamespace(name=module)))
+    monkeypatch.setattr(sys, "argv", ["a/path.py", "evaluate", "--periods", "[1, 2]"])
+    assert provenance()["command"] == f"{program} evaluate --periods '[1, 2]'"
+    monkeypatch.setitem(sys.modules, "__main__", SimpleNamespace(__spec__=None))
+    assert provenance()["command"] == "path.py evaluate --periods '[1, 2]'"

@@ -7,15 +7,18 @@ from pathlib import Path
 
 import pytest
 import tiny
+import tiny_controller
+import torch
 
 import tsjepa
 from tsjepa import cli
 from tsjepa.models import entries
+from tsjepa.support.files import write_json
 from tsjepa.zoo import train as train_module
-from tsjepa.zoo.steps import ENTRIES, commands
+from tsjepa.zoo.steps import ENTRIES, evaluation, fits, run_of
 from tsjepa.zoo.train import train
 
-STEPS = ("jepa", "actor", "evaluate", "export")
+NAME = "tsjepa-cartpole-d16"
 
 
 def test_every_shipped_entry_has_a_recipe():
@@ -24,64 +27,121 @@ def test_every_shipped_entry_has_a_recipe():
 
 @pytest.mark.parametrize("name", ENTRIES)
 def test_the_commands_of_an_entry_follow_from_each_other(name):
-    steps = commands(ENTRIES[name], "runs/zoo/x", name, 3)
-    assert list(steps)[-2:] == ["evaluate", "export"]
-    fits = [words for words in steps.values() if words[0] == "fit"]
+    steps = fits(ENTRIES[name], "runs/zoo/x", 3)
     made = []
-    for words in fits:
+    for words in steps.values():
         options = dict(zip(words[1::2], words[2::2], strict=True))
-        assert options["--seed_everything"] == "3"
+        assert words[0] == "fit" and options["--seed_everything"] == "3"
         # the first starts from nothing, the next from the model that the one before has left
         assert options.get("--model.init_args.pretrained") == (made[-1] if made else None)
         made.append(options["--trainer.default_root_dir"] + "/model")
-    assert steps["evaluate"][steps["evaluate"].index("--model") + 1] == made[-1]
-    for words in steps.values():
+    assert made[-1] == run_of(ENTRIES[name], "runs/zoo/x") + "/model"
+    evaluate = evaluation(ENTRIES[name], "runs/zoo/x", "runs/zoo/y")
+    assert evaluate[evaluate.index("--model") + 1] == made[-1]
+    for words in (*steps.values(), evaluate):
         named = [word for flag, word in itertools.pairwise(words) if flag == "--config"]
         assert all((tiny.ROOT / recipe).is_file() for recipe in named)
 
 
-def test_a_training_seed_has_a_folder_of_its_own_and_an_unknown_entry_is_named(tmp_path, monkeypatch):
+def test_an_entry_or_a_number_of_seeds_that_cannot_be_is_named(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(train_module, "run", refusing("jepa"))
-    with pytest.raises(RuntimeError):
-        train("tsjepa-cartpole-d16", 2)
-    assert (tmp_path / "runs/zoo/tsjepa-cartpole-d16-seed2/steps.journal").is_file()
     with pytest.raises(ValueError, match="no recipe for 'absent': choose one of tsjepa-cartpole"):
         train("absent")
+    with pytest.raises(ValueError, match="seeds is 0"):
+        train(NAME, 0)
+    assert not list(tmp_path.iterdir())
 
 
-def refusing(what: str, log: list | None = None):
-    """In place of a command's process: a fit leaves a checkpoint, and the one that writes ``what`` fails."""
+class Program:
+    """In place of the commands' processes: notes each, leaves what it would leave, and fails at the one ``refused``."""
 
-    def run(words):
-        root = dict(itertools.pairwise(words)).get("--trainer.default_root_dir")
-        if log is not None:
-            log.append(words)
-        if root:
-            (Path(root) / "checkpoints").mkdir(parents=True, exist_ok=True)
-            (Path(root) / "checkpoints" / "last.ckpt").touch()
-        if root and root.endswith(what):
-            raise RuntimeError(what)
+    def __init__(self, refused: str = "nothing") -> None:
+        self.refused, self.ran = refused, []
+
+    def __call__(self, words):
+        options = dict(itertools.pairwise(words))
+        self.ran.append((words[0], options))
+        folder = options.get("--trainer.default_root_dir", options.get("--output"))
+        if words[0] == "fit":
+            (Path(folder) / "checkpoints").mkdir(parents=True, exist_ok=True)
+            (Path(folder) / "checkpoints" / "last.ckpt").touch()
+        if folder and folder.endswith(self.refused):
+            raise RuntimeError(self.refused)
+        if words[0] == "fit":
+            entries.save(tiny_controller.tiny(int(options["--seed_everything"])), f"{folder}/model")
+        if words[0] == "evaluate":
+            seed = int(options["--first_seed"]) if "--first_seed" in options else 0
+            Path(folder).mkdir(exist_ok=True)
+            write_json(Path(folder, "evaluation.json"), evaluated(0.9, seed))
         return 7.0
 
-    return run
+
+def evaluated(score: float, first_seed: int = 1000) -> dict:
+    """An evaluation on two sets of starts."""
+    common = {"controller": "TS-JEPA", "failures": 1, "starts": 40, "command_nmae": 0.01}
+    rows = [common | {"update_every": 5, "per_seed": [score - 0.1, score + 0.1]}]
+    starts = {"starts": "2 seeds x 20", "seeds": [first_seed, first_seed + 1], "slots": 100}
+    return starts | {"optimal_policy": "an LQR", "closed_loop": rows, "open_loop": {"command_nmae": 0.01}}
 
 
-def test_a_second_start_goes_on_where_the_first_was_broken_off(tmp_path, monkeypatch, capsys):
+@pytest.fixture
+def program(tmp_path, monkeypatch):
+    """Starts the training with a program in place of the commands; gives those that it was told, with their options."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(train_module, "run", refusing("actor"))
-    with pytest.raises(RuntimeError, match="actor"):
-        train("tsjepa-cartpole-d16")
-    ran = []
-    monkeypatch.setattr(train_module, "run", refusing("nothing", ran))
-    monkeypatch.setattr(train_module, "key_figures", lambda name: {"entry": name})
-    monkeypatch.setattr(train_module, "table", lambda rows: f"{len(rows)} rows")
-    train("tsjepa-cartpole-d16")
-    assert [words[0] for words in ran] == ["fit", "evaluate", "export"]
-    assert ran[0][-2:] == ["--ckpt_path", "last"] and "--ckpt_path" not in ran[1]
-    said = ran[2][ran[2].index("--trained_with") + 1]
-    assert "tsjepa zoo train tsjepa-cartpole-d16" in said and "jepa 7 s, actor 7 s, evaluate 7 s" in said
-    assert "jepa: done before, in 7 s" in capsys.readouterr().out
+    monkeypatch.setattr(train_module, "listed", lambda names: print(f"{len(names)} rows"))
+    errors = iter((0.3, 0.1, 0.2))
+    monkeypatch.setattr(train_module, "validation_error", lambda folder, data, split: next(errors))
+
+    def start(refused: str = "nothing", seeds: int = 1) -> list[tuple[str, dict]]:
+        program = Program(refused)
+        monkeypatch.setattr(train_module, "run", program)
+        if refused == "nothing":
+            train(NAME, seeds)
+        else:
+            with pytest.raises(RuntimeError, match=refused):
+                train(NAME, seeds)
+        return program.ran
+
+    return start
+
+
+def test_a_second_start_goes_on_where_the_first_was_broken_off(program, capsys):
+    program("seed0/actor")
+    ran = program()
+    assert [command for command, _ in ran] == ["fit", "evaluate", "export"]
+    assert ran[0][1]["--ckpt_path"] == "last" and "--ckpt_path" not in ran[1][1]
+    said = ran[2][1]["--trained_with"]
+    assert f"Made by `tsjepa zoo train {NAME}`" in said and "jepa 7 s, actor 7 s; evaluate 7 s, on " in said
+    assert "--training_seeds" not in ran[2][1]
+    printed = capsys.readouterr().out
+    assert f"runs/zoo/{NAME}/seed0, jepa: done before, in 7 s" in printed
+    assert f"To ship it: cp -r runs/zoo/{NAME}/entry/{NAME} " in printed
+    assert program() == []
+
+
+def test_of_several_training_seeds_the_best_by_validation_is_shipped_and_all_meet_fresh_starts(program):
+    home = f"runs/zoo/{NAME}"
+    assert [options["--seed_everything"] for command, options in program() if command == "fit"] == ["0", "0"]
+    ran = program("seed2/actor", 3)  # what the first start has made stays
+    assert [options["--seed_everything"] for _, options in ran] == ["1", "1", "2", "2"]
+    ran = program("seed1/fresh", 3)
+    assert [command for command, _ in ran] == ["fit", "evaluate", "evaluate", "evaluate"]
+    assert ran[1][1]["--model"] == f"{home}/seed1/actor/model" and "--first_seed" not in ran[1][1]
+    *fresh, (command, exported) = [*ran[2:3], *program(seeds=3)]
+    assert [options["--model"] for _, options in fresh] == [f"{home}/seed{seed}/actor/model" for seed in range(3)]
+    assert {options["--first_seed"] for _, options in fresh} == {"1000"}
+    assert command == "export" and exported["export"] == f"{home}/seed1/actor"
+    assert f"`tsjepa zoo train {NAME} --seeds 3`" in exported["--trained_with"]
+    assert "; seed 2: jepa 7 s, actor 7 s; evaluate 7 s, evaluate seed 0 7 s" in exported["--trained_with"]
+    of_seeds = json.loads(Path(exported["--training_seeds"]).read_text())
+    assert (of_seeds["shipped"], of_seeds["validation"]["command_nmae"]) == (1, [0.3, 0.1, 0.2])
+    assert program(seeds=3) == []
+
+
+def test_other_weights_are_evaluated_and_exported_anew(program):
+    program()
+    entries.save(tiny_controller.tiny(9), f"runs/zoo/{NAME}/seed0/actor/model")
+    assert [command for command, _ in program()] == ["evaluate", "export"]
 
 
 @pytest.mark.slow
@@ -89,17 +149,25 @@ def test_one_command_makes_an_entry_with_its_card(tmp_path, monkeypatch, capfd):
     for name in tiny.NAMES:
         tiny.write(tmp_path, name, tiny.shrink(tiny.load(name)))
     monkeypatch.chdir(tmp_path)
-    assert cli.main(["zoo", "train", "tsjepa-cartpole-d16"]) == 0
-    folder = Path("runs/zoo/tsjepa-cartpole-d16/entry/tsjepa-cartpole-d16")
+    assert cli.main(["zoo", "train", NAME, "--seeds", "2"]) == 0
+    folder = Path(f"runs/zoo/{NAME}/entry/{NAME}")
     model = tsjepa.load(str(folder))
     assert model.embedding_dim == 16
-    assert "Made by `tsjepa zoo train tsjepa-cartpole-d16`" in (folder / "README.md").read_text()
+    assert f"Made by `tsjepa zoo train {NAME} --seeds 2`" in (folder / "README.md").read_text()
     figures = json.loads((folder / "metrics.json").read_text())
+    assert figures["seeds"] == [0, 1] and figures["training_seeds"]["start_seeds"] == [1000, 1001]
+    shipped = figures["training_seeds"]["shipped"]
+    assert {fit["seed"] for fit in figures["training"]} == {shipped}
+    errors = figures["training_seeds"]["validation"]["command_nmae"]
+    assert errors[shipped] == min(errors)
+    weights = [entries.load(f"runs/zoo/{NAME}/seed{seed}/actor/model").state_dict() for seed in range(2)]
+    assert not torch.equal(*(each["actor.layers.0.weight"] for each in weights))
+    assert torch.equal(model.state_dict()["actor.layers.0.weight"], weights[shipped]["actor.layers.0.weight"].half())
     assert [Path(fit["data"]).name for fit in figures["training"]] == ["cartpole-large"] * 2
     printed = capfd.readouterr().out
     assert (
         "tsjepa fit --config recipes/jepa.yaml" in printed and f"cores of {figures['machine']['processor']}" in printed
     )
     before = {path: os.stat(path).st_mtime_ns for path in folder.iterdir()}
-    assert cli.main(["zoo", "train", "tsjepa-cartpole-d16"]) == 0
+    assert cli.main(["zoo", "train", NAME, "--seeds", "2"]) == 0
     assert before == {path: os.stat(path).st_mtime_ns for path in folder.iterdir()}

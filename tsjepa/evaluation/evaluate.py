@@ -22,6 +22,7 @@ from tsjepa.evaluation.recorded import record_runs
 from tsjepa.evaluation.rollouts import ONCE, Loop, every, perfect_feedback, run
 from tsjepa.evaluation.shown import shown_run
 from tsjepa.evaluation.summary import score_by_slot, summary, table, watched_figures
+from tsjepa.models import Controller
 from tsjepa.plants import Plant, describe_plant
 from tsjepa.support.checks import at_least, within
 from tsjepa.support.files import write_json
@@ -41,6 +42,7 @@ def evaluate(
     data: str | None = None,
     periods: Sequence[int] = (1, 2, 5, 10, 20, ONCE),
     seeds: int | None = None,
+    first_seed: int | None = None,
     starts_per_seed: int | None = None,
     slots: int | None = None,
     frame_history: int | None = None,
@@ -65,6 +67,8 @@ def evaluate(
         data: data set whose test split gives command error, probe error and prediction skill.
         periods: slots between updates; 0 means once, at the first slot.
         seeds: sets of starts, at least 2; else 5.
+        first_seed: number of the first set, else 0; other numbers are other starts. Recipes were chosen on those from 0
+            on, so that figures which nobody has chosen by come from a high one.
         starts_per_seed: starts in each; else 20.
         slots: length of a run; else 100.
         frame_history: slots up to step 0, the warm-up at rest; at least those of the model's stack. Models of different
@@ -99,12 +103,11 @@ def evaluate(
         print(NO_PLANT)
     else:
         loop = held_out_loop(controller, machine, starts_per_seed, slots, frame_history, blend, codec)
-        seeds = len(controller.metrics.get("seeds", range(SEEDS))) if seeds is None else seeds
-        at_least(2, seeds=seeds)
+        of = seeds_of(controller, seeds, first_seed)
         camera = machine.camera()
         warn_of_another_renderer(camera, controller.metrics, metadata)
         result |= {"plant": describe_plant(machine), "camera": camera, "device": device}
-        result |= closed_loops(loop, seeds, periods)
+        result |= closed_loops(loop, of, periods)
     if data:
         result["open_loop"] = open_loop_metrics(controller, data)
     else:
@@ -116,13 +119,22 @@ def evaluate(
     if loop is not None:
         pictures(loop, result, folder, video)
         if record is not None:
-            runs = {after(period): shown_run(every(one_start(loop), period), seeds) for period in periods}
+            runs = {after(period): shown_run(every(one_start(loop), period), of.stop) for period in periods}
             record_runs(record, runs, machine, controller)
     print(f"{'The figures' if loop is None else 'Figures, plots and film'} are in {folder}.")
     return result
 
 
-def closed_loops(loop: Loop, seeds: int, periods: Sequence[int]) -> dict:
+def seeds_of(model: Controller, count: int | None, first: int | None) -> range:
+    """Numbers of the sets of starts; what is None is as in the model's figures, else the first ones."""
+    known = model.metrics.get("seeds", range(SEEDS))
+    count, first = len(known) if count is None else count, known[0] if first is None else first
+    at_least(2, seeds=count)
+    at_least(0, first_seed=first)
+    return range(first, first + count)
+
+
+def closed_loops(loop: Loop, seeds: range, periods: Sequence[int]) -> dict:
     """How the loops were run, the normaliser's score, and ``closed_loop``, the rows of the table."""
     experts = dict.fromkeys((loop.plant.normaliser, next(iter(loop.plant.experts()))))
     perfect = {name: runs_of(perfect_feedback(loop, name), seeds) for name in experts}
@@ -134,8 +146,8 @@ def closed_loops(loop: Loop, seeds: int, periods: Sequence[int]) -> dict:
         "optimal_policy": loop.plant.normaliser,
         "optimal_raw_score": float(torch.cat(best).mean()),
         "optimal_score_by_slot": score_by_slot(optimal),
-        "starts": f"{seeds} seeds x {loop.num_devices}",
-        "seeds": list(range(seeds)),
+        "starts": f"{len(seeds)} seeds x {loop.num_devices}",
+        "seeds": list(seeds),
         "starts_per_seed": loop.num_devices,
         "slots": loop.slots,
         "frame_history": loop.frame_history,
@@ -144,12 +156,12 @@ def closed_loops(loop: Loop, seeds: int, periods: Sequence[int]) -> dict:
     }
 
 
-def runs_of(loop: Loop, seeds: int) -> list[Run]:
+def runs_of(loop: Loop, seeds: range) -> list[Run]:
     """The loop from every set of starts."""
-    return [run(loop, seed) for seed in range(seeds)]
+    return [run(loop, seed) for seed in seeds]
 
 
-def rows(loop: Loop, seeds: int, periods: Sequence[int], optimal: list[Tensor]) -> Iterator[dict]:
+def rows(loop: Loop, seeds: range, periods: Sequence[int], optimal: list[Tensor]) -> Iterator[dict]:
     """The model and its baselines at every period."""
     own = LABELS.get(loop.controller.kind, loop.controller.kind)
     for period in tqdm(periods, desc="closed loops", unit="period"):
@@ -176,7 +188,7 @@ def has_watched_prediction(loop: Loop) -> bool:
     return loop.plant.spec.watched is not None and loop.controller.has_predictor and loop.controller.probe is not None
 
 
-def run_watched(name: str, loop: Loop, seeds: int, optimal: list[Tensor]) -> dict:
+def run_watched(name: str, loop: Loop, seeds: range, optimal: list[Tensor]) -> dict:
     """The row of a loop that hears once, with the error of the watched state as the probe reads it from the belief."""
     spec, probe = loop.plant.spec, at_weights(loop.controller, loop.controller.probe)
     index, errors, runs = spec.state_names.index(spec.watched), [], []
@@ -184,7 +196,7 @@ def run_watched(name: str, loop: Loop, seeds: int, optimal: list[Tensor]) -> dic
     def watch(slot: int, now: TensorDictBase) -> None:
         of_seed.append((probe(now["belief"]) - now["state"])[:, index].abs())
 
-    for seed in range(seeds):
+    for seed in seeds:
         of_seed: list[Tensor] = []
         runs.append(run(loop, seed, watch))
         errors.append(torch.stack(of_seed))
@@ -201,7 +213,7 @@ def pictures(loop: Loop, result: dict, folder: Path, video: bool) -> None:
     if not draws(loop.controller):
         print("There is no film, because the decoder of this model was never trained.")
     else:
-        look_inside(one_start(loop), len(result["seeds"]), folder / "loop.mp4", folder / "inside.png")
+        look_inside(one_start(loop), result["seeds"][-1] + 1, folder / "loop.mp4", folder / "inside.png")
 
 
 def one_start(loop: Loop) -> Loop:

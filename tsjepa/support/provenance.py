@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import inspect
 import os
+import shlex
 import subprocess
 import sys
 from datetime import datetime, timezone
@@ -23,13 +24,20 @@ def provenance() -> dict[str, str]:
 
     The commit ends in "-dirty" where the code that runs is not the code that was committed.
     """
-    started_as_module = sys.modules["__main__"].__spec__
-    program = f"python -m {started_as_module.name}" if started_as_module else Path(sys.argv[0]).name
     return {
-        "command": " ".join([program, *sys.argv[1:]]),
+        "command": shlex.join([*program(), *sys.argv[1:]]),
         "commit": commit_of(Path(__file__).parent) or f"version {version('tsjepa')}",
         "date": datetime.now(timezone.utc).date().isoformat(),
     }
+
+
+def program() -> list[str]:
+    """The words that start this program again; its own command line has a name."""
+    started_as_module = sys.modules["__main__"].__spec__
+    if started_as_module is None:
+        return [Path(sys.argv[0]).name]
+    module = started_as_module.name
+    return ["tsjepa"] if module.startswith("tsjepa.cli.") else ["python", "-m", module]
 
 
 def machine() -> dict[str, str | int]:

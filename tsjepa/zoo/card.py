@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from tsjepa.evaluation.summary import FIRST_LOST
 from tsjepa.models import Controller
 from tsjepa.support.spec import PlantSpec
-from tsjepa.zoo.figures import own_rows
+from tsjepa.zoo.figures import lost_from, own_rows, seed_score
 
 FRONT_MATTER = """---
 license: apache-2.0
@@ -66,6 +66,7 @@ def card(name: str, model: Controller, metrics: dict) -> str:
         usage(name, model),
         *figures(metrics),
         *open_loop(metrics),
+        *training_seeds(metrics),
         *training(metrics, spec),
         "## Use and limits",
         USE.format(name=name),
@@ -166,6 +167,40 @@ def watched(row: dict) -> str:
     return "Sent once, the mean error of the probed {state} passes {limit:g} {unit} {when}.".format(
         **row["watched"], when="in no slot" if slot is None else f"first in slot {slot}"
     )
+
+
+def training_seeds(metrics: dict) -> list[str]:
+    """The closed loops of all training seeds; nothing where there was one."""
+    of_seeds = metrics.get("training_seeds")
+    if of_seeds is None:
+        return []
+    validation, nmae = of_seeds["validation"], of_seeds["command_nmae"]
+    lines = [
+        "| update every | score ± over training seeds ± over starts | failures | command NMAE |",
+        "|---|---|---|---|",
+        *(
+            f"| {row['update_every']} | {seed_score(row)} | {row['failures']} of {row['starts']} "
+            f"| {row['command_nmae']:.4f} |"
+            for row in of_seeds["closed_loop"]
+        ),
+    ]
+    said = [
+        f"On recorded test trajectories the command NMAE is {nmae['mean']:.4f} ± {nmae['interval_95']:.4f} over "
+        "training seeds."
+    ]
+    if FIRST_LOST in of_seeds:
+        watched = "Sent once, the mean error of the probed {state} passes {limit:g} {unit} from slot"
+        said.append(f"{watched.format(**of_seeds[FIRST_LOST]['watched'])} {lost_from(of_seeds)} on.")
+    return [
+        "## Over training seeds",
+        f"The same recipe with the seeds {', '.join(map(str, of_seeds['seeds']))}, on {of_seeds['starts']} starts that "
+        f"no recipe was chosen on (from {of_seeds['start_seeds'][0]} on). The weights here are those of seed "
+        f"{of_seeds['shipped']}, whose command NMAE on the split {validation['split']} is the smallest: "
+        f"{', '.join(f'{error:.4f}' for error in validation['command_nmae'])}. The first interval is that of 95 % over "
+        "training seeds, the second that over the sets of starts, of the mean over training seeds.",
+        "\n".join(lines),
+        " ".join(said),
+    ]
 
 
 def training(metrics: dict, spec: PlantSpec) -> list[str]:

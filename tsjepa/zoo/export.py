@@ -21,6 +21,7 @@ def export(
     folder: str = "checkpoints",
     half: bool = False,
     trained_with: str = "",
+    training_seeds: str | None = None,
 ) -> dict:
     """Writes ``folder/name``: the weights of a run, how they score, how they were trained, and a model card.
 
@@ -32,6 +33,7 @@ def export(
         folder: of the zoo.
         half: store weights in 16 bits, if the scores stay within their intervals.
         trained_with: words about the training for the card and metrics.json.
+        training_seeds: what ``tsjepa zoo train`` wrote about several training seeds, for the same.
 
     Returns:
         ``entry``, the folder.
@@ -43,6 +45,8 @@ def export(
     history = training_history(source)
     metrics = evaluation_of(model, source, evaluation, history)
     metrics |= {"training": history, "data_sets": data_sets(history), "trained_with": trained_with}
+    if training_seeds is not None:
+        metrics["training_seeds"] = json.loads(Path(training_seeds).read_text())
     metrics["weights"] = {
         "dtype": "float16" if half else "float32",
         "parameters": sum(parameter.numel() for parameter in model.parameters()),

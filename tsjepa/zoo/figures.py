@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 
 from safetensors import safe_open
@@ -19,6 +20,14 @@ HEADINGS = (
     "command NMAE",
     "sent once: lost from slot",
     "MB",
+)
+SEED_HEADINGS = (
+    "entry",
+    "training seeds",
+    "every slot: score, over training seeds, over starts, failures",
+    *(f"every {period}" for period in LISTED_PERIODS[1:]),
+    "command NMAE",
+    "sent once: lost from slot",
 )
 
 
@@ -47,6 +56,41 @@ def key_figures(name: str) -> dict[str, str]:
     return dict(zip(HEADINGS, shown, strict=True))
 
 
+def seed_figures(name: str) -> dict[str, str] | None:
+    """What the list shows of the training seeds of an entry's recipe, by heading; None where it was trained once."""
+    of_seeds = json.loads((find(name) / METRICS).read_text()).get("training_seeds")
+    return None if of_seeds is None else dict(zip(SEED_HEADINGS, [Path(name).name, *seed_cells(of_seeds)], strict=True))
+
+
+def seed_cells(of_seeds: dict) -> list[str]:
+    """The cells below all of :data:`SEED_HEADINGS` but the first."""
+    rows = {row["update_every"]: row for row in of_seeds["closed_loop"]}
+    scores = [rows.get(period) for period in LISTED_PERIODS]
+    nmae = of_seeds["command_nmae"]
+    return [
+        str(len(of_seeds["seeds"])),
+        *("-" if row is None else f"{seed_score(row)}, {row['failures']} of {row['starts']}" for row in scores),
+        f"{nmae['mean']:.4f} ± {nmae['interval_95']:.4f}",
+        lost_from(of_seeds),
+    ]
+
+
+def seed_score(row: dict) -> str:
+    """Mean score with its two intervals: over training seeds, and over the sets of starts."""
+    intervals = row["interval_95_training_seeds"], row["interval_95_starts"]
+    return " ± ".join(f"{number:.3f}" for number in (row["normalized_score"], *intervals))
+
+
+def lost_from(of_seeds: dict) -> str:
+    """The mean slot from which the watched state is lost; all where a model never loses it; "-" if none is watched."""
+    lost = of_seeds.get(FIRST_LOST)
+    if lost is None:
+        return "-"
+    if "mean" in lost:
+        return f"{lost['mean']:.1f} ± {lost['interval_95']:.1f}"
+    return ", ".join("never" if slot is None else str(slot) for slot in lost["per_training_seed"])
+
+
 def _score(row: dict) -> str:
     return f"{row['normalized_score']:.3f} ± {row['interval_95']:.3f}, {row['failures']}"
 
@@ -59,10 +103,21 @@ def _int8_bits(folder: Path) -> str:
         return str(8 * weights.get_slice("code_low").get_shape()[0])
 
 
-def table(entries: list[dict[str, str]]) -> str:
+def table(entries: list[dict[str, str]], headings: Sequence[str] = HEADINGS) -> str:
     """The figures as a Markdown table; scores are normalised by the normaliser with perfect feedback."""
-    lines = [list(HEADINGS), *(list(entry.values()) for entry in entries)]
-    widths = [max(len(line[column]) for line in lines) for column in range(len(HEADINGS))]
+    lines = [list(headings), *(list(entry.values()) for entry in entries)]
+    widths = [max(len(line[column]) for line in lines) for column in range(len(headings))]
     padded = [[cell.ljust(width) for cell, width in zip(line, widths, strict=True)] for line in lines]
     padded.insert(1, ["-" * width for width in widths])
     return "\n".join(f"| {' | '.join(line)} |" for line in padded)
+
+
+def listed(names: list[str]) -> tuple[list[dict[str, str]], list[dict[str, str]]]:
+    """The rows of both tables of these entries, printed: the models, and the training seeds of those that have some."""
+    models = [key_figures(name) for name in names]
+    seeds = [row for name in names if (row := seed_figures(name)) is not None]
+    print(table(models))
+    if seeds:
+        print("\nOver training seeds, on starts that no recipe was chosen on:\n")
+        print(table(seeds, SEED_HEADINGS))
+    return models, seeds

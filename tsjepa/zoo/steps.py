@@ -5,6 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+# The first of the sets of starts that training seeds are compared on: recipes were chosen on those from 0 on.
+FRESH = 1000
+# The expert's trajectories on which the training seed to be shipped is chosen: no fit learns from them, and no card
+# tells their error.
+VALIDATION = "actor_test"
 LARGE = "data/cartpole-large"  # of recipes/zoo/data.yaml
 LARGE_DATA = (
     *("--data.init_args.path", LARGE),
@@ -73,20 +78,25 @@ ENTRIES: dict[str, Made] = {
 }
 
 
-def commands(made: Made, home: str, name: str, seed: int) -> dict[str, list[str]]:
-    """The words of each command after ``tsjepa``, by what is done, with everything below the folder ``home``."""
+def fits(made: Made, home: str, seed: int) -> dict[str, list[str]]:
+    """The words of each fit's command after ``tsjepa``, by its recipe, with all that it leaves below ``home``."""
     steps: dict[str, list[str]] = {}
     for fit, before in zip(made.fits, (None, *made.fits), strict=False):
         start = [] if before is None else ["--model.init_args.pretrained", f"{home}/{before.recipe}/model"]
         steps[fit.recipe] = ["fit", *recipes((fit.recipe, *fit.over)), *fit.options, *start]
         steps[fit.recipe] += ["--trainer.default_root_dir", f"{home}/{fit.recipe}", "--seed_everything", str(seed)]
-    last = f"{home}/{made.fits[-1].recipe}"
-    evaluation = f"{home}/evaluation"
-    steps["evaluate"] = ["evaluate", *recipes(("evaluate", *made.over)), "--model", f"{last}/model"]
-    steps["evaluate"] += ["--data", made.data, "--output", evaluation, *made.evaluation]
-    steps["export"] = ["export", last, name, "--evaluation", f"{evaluation}/evaluation.json"]
-    steps["export"] += ["--folder", f"{home}/entry", "--half", "true"]
     return steps
+
+
+def run_of(made: Made, home: str) -> str:
+    """Folder of the last fit, which leaves the whole model."""
+    return f"{home}/{made.fits[-1].recipe}"
+
+
+def evaluation(made: Made, home: str, output: str) -> list[str]:
+    """The words of the command that evaluates the model below ``home``."""
+    words = ["evaluate", *recipes(("evaluate", *made.over)), "--model", f"{run_of(made, home)}/model"]
+    return [*words, "--data", made.data, "--output", output, *made.evaluation]
 
 
 def recipes(names: Sequence[str]) -> list[str]:

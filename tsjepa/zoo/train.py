@@ -4,80 +4,136 @@ from __future__ import annotations
 
 import json
 import shlex
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 from tsjepa.models import entries
-from tsjepa.support.files import exclusive
+from tsjepa.support.checks import at_least
+from tsjepa.support.files import exclusive, write_json
 from tsjepa.support.journal import Journal
 from tsjepa.support.provenance import machine
-from tsjepa.zoo.figures import key_figures, table
-from tsjepa.zoo.steps import ENTRIES, commands
+from tsjepa.zoo.child import run
+from tsjepa.zoo.figures import listed
+from tsjepa.zoo.steps import ENTRIES, FRESH, VALIDATION, Made, evaluation, fits, run_of
+from tsjepa.zoo.training_seeds import over_seeds, validation_error
 
 FOLDER = "runs/zoo"
+SEEDS_FILE = "training_seeds.json"
 
 
-def train(name: str, seed: int = 0) -> Path:
+def train(name: str, seeds: int = 1) -> Path:
     """Collects the data, fits, evaluates and exports; what is done is not done again.
 
     Every command is printed before it runs, and at the end how long each took on which machine, which the card says
     too, and the new figures beside those of the shipped entry. The shipped entry stays as it is.
 
+    Of several training seeds the one is exported whose commands are nearest to the expert's on trajectories that no fit
+    learns from, before any of them has met the evaluation's starts. All of them are then evaluated on starts of their
+    own, which no recipe was chosen on.
+
     Args:
         name: of the entry.
-        seed: of the training; the evaluation's starts stay the same.
+        seeds: how many training seeds, from 0 on. Those that are there from an earlier start with fewer stay.
 
     Returns:
         Folder of the entry.
 
     Raises:
-        ValueError: there is no recipe for such an entry.
+        ValueError: there is no recipe for such an entry, or no seed.
         RuntimeError: a command failed.
     """
     if name not in ENTRIES:
         raise ValueError(f"There is no recipe for {name!r}: choose one of {', '.join(ENTRIES)}.")
-    home = Path(FOLDER) / (name if seed == 0 else f"{name}-seed{seed}")
+    at_least(1, seeds=seeds)
+    made, home = ENTRIES[name], Path(FOLDER) / name
     home.mkdir(parents=True, exist_ok=True)
     with exclusive(home):
-        steps = commands(ENTRIES[name], home.as_posix(), name, seed)
-        journal = Journal(home / "steps.journal", steps)
-        for step, words in steps.items():
-            if step in journal.done:
-                print(f"{step}: done before, in {journal.done[step]['seconds']:.0f} s.", flush=True)
-                continue
-            if step == "export":
-                words = [*words, "--trained_with", told(journal, name, seed)]
-            if step not in ("evaluate", "export") and (home / step / "checkpoints" / "last.ckpt").is_file():
-                words = [*words, "--ckpt_path", "last"]
-            journal.add(step, {"seconds": run(words), "machine": machine()})
+        homes = [f"{home.as_posix()}/seed{seed}" for seed in range(seeds)]
+        journals = [fitted(made, of_seed, seed) for seed, of_seed in enumerate(homes)]
+        models = [entries.fingerprint(f"{run_of(made, each)}/model") for each in homes]
+        journal = Journal(home / "steps.journal", models)
+        best = shipped(made, homes, journal)
+        do(journal, "evaluate", evaluation(made, homes[best], f"{home.as_posix()}/evaluation"))
+        options = ["--evaluation", f"{home.as_posix()}/evaluation/evaluation.json", "--half", "true"]
+        if seeds > 1:
+            together = compare(made, homes, journal, best)
+            write_json(home / SEEDS_FILE, together)
+            options += ["--training_seeds", f"{home.as_posix()}/{SEEDS_FILE}"]
+        said = told([*journals, journal], name, seeds)
+        options += ["--folder", f"{home.as_posix()}/entry", "--trained_with", said]
+        do(journal, "export", ["export", run_of(made, homes[best]), name, *options])
     entry = home / "entry" / name
-    print(told(journal, name, seed))
-    known = [key_figures(name)] if name in entries.names() else []
-    print(table([key_figures(str(entry)), *known]))
-    print(f"The new entry, the first row, is in {entry}.")
+    print(said)
+    listed([str(entry), *([name] if name in entries.names() else [])])
+    print(f"The new entry, the first row, is in {entry}. To ship it: {shlex.join(installing(entry))}")
     return entry
 
 
-def run(words: list[str]) -> float:
-    """Runs a command of the program in a process of its own; the seconds that it took.
+def fitted(made: Made, home: str, seed: int) -> Journal:
+    """All fits of a training seed, those that are done before left out."""
+    Path(home).mkdir(exist_ok=True)
+    steps = fits(made, home, seed)
+    journal = Journal(Path(home) / "steps.journal", steps)
+    for step, words in steps.items():
+        begun = (Path(home) / step / "checkpoints" / "last.ckpt").is_file()
+        do(journal, step, [*words, "--ckpt_path", "last"] if begun else words)
+    return journal
 
-    Raises:
-        RuntimeError: it failed; it has said why.
+
+def do(journal: Journal, step: str, words: list[str]) -> None:
+    """Runs the command of a step that is not done yet."""
+    if step in journal.done:
+        where = journal.path.parent.as_posix()
+        print(f"{where}, {step}: done before, in {journal.done[step]['seconds']:.0f} s.", flush=True)
+    else:
+        journal.add(step, {"seconds": run(words), "machine": machine()})
+
+
+def shipped(made: Made, homes: list[str], journal: Journal) -> int:
+    """The training seed whose model becomes the entry."""
+    if len(homes) == 1:
+        return 0
+    if "validation" not in journal.done:
+        models = [f"{run_of(made, home)}/model" for home in homes]
+        journal.add("validation", [validation_error(model, made.data, VALIDATION) for model in models])
+    errors = journal.done["validation"]
+    best = min(range(len(errors)), key=errors.__getitem__)
+    each = ", ".join(f"{error:.4f}" for error in errors)
+    print(f"Command NMAE on {VALIDATION} by training seed: {each}. Seed {best} becomes the entry.", flush=True)
+    return best
+
+
+def compare(made: Made, homes: list[str], journal: Journal, best: int) -> dict:
+    """Evaluates all training seeds on fresh starts; what their figures are together."""
+    for seed, home in enumerate(homes):
+        words = evaluation(made, home, f"{home}/fresh")
+        do(journal, f"evaluate seed {seed}", [*words, "--first_seed", str(FRESH), "--video", "false"])
+    evaluations = [json.loads(Path(home, "fresh", "evaluation.json").read_text()) for home in homes]
+    return over_seeds(evaluations, journal.done["validation"], best, made.data, VALIDATION)
+
+
+def told(journals: list[Journal], name: str, seeds: int) -> str:
+    """A sentence on how the entry was made, for its card.
+
+    Args:
+        journals: of each training seed, and of what follows.
+        name, seeds: as in :func:`train`.
     """
-    print(f"tsjepa {shlex.join(words)}", flush=True)
-    began = time.monotonic()
-    status = subprocess.run([sys.executable, "-m", "tsjepa.cli", *words]).returncode
-    if status:
-        raise RuntimeError(f"`tsjepa {words[0]}` ended with status {status}: mend what it says, and start this again.")
-    return time.monotonic() - began
+    *of_seeds, last = [
+        ", ".join(f"{step} {done['seconds']:.0f} s" for step, done in timed(journal) if step != "export")
+        for journal in journals
+    ]
+    times = of_seeds if seeds == 1 else [f"seed {seed}: {each}" for seed, each in enumerate(of_seeds)]
+    on = {json.dumps(done["machine"]): done["machine"] for journal in journals for _, done in timed(journal)}
+    where = "; ".join(f"{each['cores']} cores of {each['processor']}" for each in on.values())
+    again = f"tsjepa zoo train {name}{f' --seeds {seeds}' if seeds > 1 else ''}"
+    return f"Made by `{again}`, data included: {'; '.join([*times, last])}, on {where}."
 
 
-def told(journal: Journal, name: str, seed: int) -> str:
-    """A sentence on how the entry was made, for its card."""
-    times = ", ".join(f"{step} {done['seconds']:.0f} s" for step, done in journal.done.items() if step != "export")
-    on = {json.dumps(done["machine"]): done["machine"] for done in journal.done.values()}.values()
-    where = "; ".join(f"{each['cores']} cores of {each['processor']}" for each in on)
-    again = f"tsjepa zoo train {name}{f' --seed {seed}' if seed else ''}"
-    return f"Made by `{again}`, data included: {times}, on {where}."
+def timed(journal: Journal) -> list[tuple[str, dict]]:
+    """The commands of a journal, with how long they took and where."""
+    return [(step, done) for step, done in journal.done.items() if step != "validation"]
+
+
+def installing(entry: Path) -> list[str]:
+    """The command that puts an entry into the place of the shipped one."""
+    return ["cp", "-r", entry.as_posix(), f"{entries.zoo_folder().as_posix()}/"]

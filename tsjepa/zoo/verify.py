@@ -13,7 +13,7 @@ from tsjepa.evaluation.metrics import normalized_score
 from tsjepa.evaluation.rollouts import every, perfect_feedback, run
 from tsjepa.models import Controller
 from tsjepa.models.entries import names
-from tsjepa.zoo.figures import key_figures, own_rows, table
+from tsjepa.zoo.figures import key_figures, listed, own_rows
 from tsjepa.zoo.train import train
 
 VERIFIED_PERIODS = (1, 5)
@@ -26,7 +26,7 @@ def zoo(
     name: str | None = None,
     *,
     device: str = "cpu",
-    seed: int = 0,
+    seeds: int = 1,
 ) -> list[dict]:
     """Lists the pretrained models, verifies them, or makes one again from nothing, see :func:`tsjepa.zoo.train.train`.
 
@@ -36,7 +36,7 @@ def zoo(
         action: "list", "verify" or "train".
         name: of one entry, or its folder; all that are shipped by default.
         device: where the models compute while they are verified, such as cuda.
-        seed: of a training.
+        seeds: of a training, how many; their intervals need at least 2.
 
     Returns:
         What was printed, one dictionary a line.
@@ -47,13 +47,12 @@ def zoo(
         RuntimeError: a step of a training failed.
     """
     if action == "train":
-        entry = train(name or "", seed)
+        entry = train(name or "", seeds)
         return [key_figures(str(entry))]
     chosen = names() if name is None else [name]
     if action == "list":
-        figures = [key_figures(entry) for entry in chosen]
-        print(table(figures))
-        return figures
+        models, of_seeds = listed(chosen)
+        return [*models, *of_seeds]
     failed, scored = [], []
     for entry in chosen:
         checks = rescore(load_on(entry, device), entry)

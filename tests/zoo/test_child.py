@@ -1,0 +1,113 @@
+"""A command that ``tsjepa zoo train`` has started ends with it, however that ends, and the next start goes on."""
+
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import tiny
+import torch
+
+from tsjepa import cli
+from tsjepa.models import entries
+from tsjepa.support.files import exclusive
+from tsjepa.zoo.child import run
+from tsjepa.zoo.steps import ENTRIES, fits
+
+NAME = "tsjepa-cartpole-d16"
+HOME = Path("runs/zoo", NAME)
+PATIENCE = 300.0  # seconds, of a busy machine
+EPOCHS = 100  # more than pass between a checkpoint that is seen and the signal
+ENDS = {signal.SIGKILL: -signal.SIGKILL, signal.SIGTERM: 128 + signal.SIGTERM, signal.SIGINT: 130}
+
+
+def test_a_command_is_timed_and_its_failure_is_named(capfd):
+    assert run(["--version"]) > 0
+    assert capfd.readouterr().out.startswith("tsjepa --version\ntsjepa ")
+    with pytest.raises(RuntimeError, match="`tsjepa absent` ended with status 2"):
+        run(["absent"])
+
+
+def test_sigterm_is_again_what_it_was_after_a_command():
+    before = signal.getsignal(signal.SIGTERM)
+    run(["--version"])
+    assert signal.getsignal(signal.SIGTERM) is before
+
+
+def test_a_step_ends_when_its_standard_input_is_closed():
+    code = (
+        "import time; from tsjepa.cli import step; step.end_with_parent(); print('ready', flush=True); time.sleep(600)"
+    )
+    words = [sys.executable, "-c", code]
+    with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
+        assert process.stdout.readline() == b"ready\n"
+        assert process.poll() is None
+        process.stdin.close()
+        assert process.wait(PATIENCE) == 1
+
+
+def until(what, patience: float = PATIENCE):
+    """Asks ``what`` until it says something."""
+    began = time.monotonic()
+    while not (found := what()):
+        assert time.monotonic() - began < patience, "nothing happened"
+        time.sleep(0.02)
+    return found
+
+
+def written(path: Path) -> int:
+    """When a file was written; 0 where there is none."""
+    return path.stat().st_mtime_ns if path.exists() else 0
+
+
+def free(folder: Path) -> bool:
+    """Whether nobody writes a folder any more."""
+    try:
+        with exclusive(folder):
+            return True
+    except FileExistsError:
+        return False
+
+
+@pytest.fixture
+def home(tmp_path, monkeypatch):
+    """The tiny recipes, with fits that last, as the working directory."""
+    for name in tiny.NAMES:
+        tiny.write(tmp_path, name, tiny.replace(tiny.shrink(tiny.load(name)), {"max_epochs": EPOCHS}))
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def broken_off(end: signal.Signals) -> None:
+    """Starts the training, ends its process in the middle of the first fit, and waits until the fit has ended too."""
+    checkpoint = HOME / "seed0/jepa/checkpoints/last.ckpt"
+    before = written(checkpoint)
+    words = [sys.executable, "-m", "tsjepa.cli", "zoo", "train", NAME]
+    with open("log.txt", "a") as log, subprocess.Popen(words, stdout=log, stderr=log) as parent:
+        try:
+            until(lambda: written(checkpoint) != before or parent.poll() is not None)
+            assert parent.poll() is None and not free(HOME / "seed0/jepa")
+            parent.send_signal(end)
+            assert parent.wait(PATIENCE) == ENDS[end]
+        finally:
+            parent.kill()
+    if end == signal.SIGKILL:
+        until(lambda: free(HOME / "seed0/jepa"))
+    assert free(HOME / "seed0/jepa")  # who could pass the signal on has waited
+    assert not (HOME / "seed0/jepa/model").exists()
+
+
+@pytest.mark.slow
+def test_a_fit_whose_parent_was_ended_ends_and_is_continued_to_the_same_weights(home):
+    for end in ENDS:
+        broken_off(end)
+    words = fits(ENTRIES[NAME], f"{HOME.as_posix()}/seed0", 0)["jepa"]
+    assert cli.main([*words, "--ckpt_path", "last"]) == 0
+    continued = entries.load(HOME / "seed0/jepa/model").state_dict()
+    HOME.rename("continued")
+    assert cli.main(words) == 0
+    undisturbed = entries.load(HOME / "seed0/jepa/model").state_dict()
+    assert continued.keys() == undisturbed.keys()
+    assert all(torch.equal(continued[key], undisturbed[key]) for key in continued)
