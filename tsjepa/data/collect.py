@@ -37,11 +37,19 @@ class Split:
         episodes: number of trajectories.
         coverage: changing set-points and exploration noise; False gives the plain expert, as the paper has it.
         slots: T of its trajectories, if not that of the data set.
+        views: how often each trajectory is drawn, in an appearance of its own each time. The views are episodes of
+            their own, one after the other; only the plant's appearance differs between them.
     """
 
     episodes: int
     coverage: bool = True
     slots: int | None = None
+    views: int = 1
+
+    @property
+    def drawn(self) -> int:
+        """Episodes on disk."""
+        return self.episodes * self.views
 
 
 @dataclass
@@ -75,7 +83,7 @@ DEFAULT_COVERAGE = Coverage()
 def simulate(
     plant: Plant, split: Split, coverage: Coverage, slots: int, warmup_slots: int, fleet: FleetEnv, seed: int
 ) -> TensorDict:
-    """Runs ``split.episodes`` plants for ``slots`` slots; returns all but the pixels, [episodes, slots + 1]."""
+    """Runs ``split.episodes`` plants for ``slots`` slots; returns all but the pixels, [split.drawn, slots + 1]."""
     spec, expert = plant.spec, next(iter(plant.experts().values()))
     low, high = torch.tensor(spec.action_low), torch.tensor(spec.action_high)
     generator = torch.Generator().manual_seed(seed)
@@ -84,7 +92,17 @@ def simulate(
         goals = plant.goals(split.episodes, slots, generator)
         noise = coverage.noise(plant, split.episodes, slots, generator)
     observation = fleet.reset()
-    states, actions, scenes, references = [observation["state"]], [], [observation["scene"][:, -1]], []
+    devices = np.arange(split.episodes)
+
+    def seen() -> Tensor:
+        """Scenes [episodes, views, s]; a further view looks as a further episode of the same device would."""
+        views = [observation["scene"][:, -1]]
+        for view in range(1, split.views):
+            physics = observation["physics_state"].numpy()
+            views.append(torch.from_numpy(plant.scene(physics, seed, devices, np.full_like(devices, view))))
+        return torch.stack(views, dim=1)
+
+    states, actions, scenes, references = [observation["state"]], [], [seen()], []
     for slot in range(slots):
         own = observation.get("reference", None)
         references.append(own)
@@ -95,7 +113,7 @@ def simulate(
             action = torch.zeros_like(action).clamp(low, high)
         observation = fleet.step(observation.set("action", action))["next"]
         states.append(observation["state"])
-        scenes.append(observation["scene"][:, -1])
+        scenes.append(seen())
         actions.append(action)
     references.append(observation.get("reference", None))
     state = torch.stack(states, dim=1)
@@ -104,11 +122,12 @@ def simulate(
         "state": state,
         "action": torch.stack([*actions, torch.zeros_like(action)], dim=1),
         "expert_action": expert(state, reference),
-        "scene": torch.stack(scenes, dim=1),
     }
     if reference is not None:
         recorded["reference"] = reference
-    return TensorDict(recorded, batch_size=[split.episodes, slots + 1])
+    recorded = {key: value.repeat_interleave(split.views, 0) for key, value in recorded.items()}
+    recorded["scene"] = torch.stack(scenes, dim=2).flatten(0, 1)
+    return TensorDict(recorded, batch_size=[split.drawn, slots + 1])
 
 
 def collect(
@@ -141,7 +160,9 @@ def collect(
     """
     if workers != RAY:
         at_least(1, workers=workers)
-    at_least(1, slots=slots, **{f"splits.{name}.episodes": split.episodes for name, split in splits.items()})
+    for name, split in splits.items():
+        at_least(1, **{f"splits.{name}.episodes": split.episodes, f"splits.{name}.views": split.views})
+    at_least(1, slots=slots)
     if not splits or not all(name.isidentifier() for name in splits):
         raise ValueError(f"splits is {splits}; a data set needs at least one, and their names become folders.")
     folder = Path(path)
@@ -160,7 +181,7 @@ def collect(
             "seed": seed,
             "camera": plant.camera(),
         }
-        frames = sum(split.episodes * ((split.slots or slots) + 1) for split in splits.values())
+        frames = sum(split.drawn * ((split.slots or slots) + 1) for split in splits.values())
         check_space(partial, frames * 3 * int(np.prod(plant.spec.frame)))
         journal = Journal(partial / JOURNAL, metadata)
         if not journal.done:

@@ -38,6 +38,8 @@ class Trajectories(lightning.LightningDataModule):
         splits: of the data set that are trained on.
         start_share: share of the windows that begin where a trajectory begins (see
             :func:`~tsjepa.training.finish.refine.refine_predictor` for why).
+        paired: every trajectory of ``splits`` is there in two views; a window has the other one's frames too, from
+            which TS-JEPA makes its targets.
     """
 
     def __init__(
@@ -52,6 +54,7 @@ class Trajectories(lightning.LightningDataModule):
         episodes: int | None = None,
         splits: Sequence[str] = ("train",),
         start_share: float = 0.0,
+        paired: bool = False,
     ) -> None:
         super().__init__()
         at_least(
@@ -68,7 +71,7 @@ class Trajectories(lightning.LightningDataModule):
         self.recipes = [collect] if isinstance(collect, str) else list(collect or ())
         self.frame_stack, self.frame_spacing, self.stacks = frame_stack, frame_spacing, stacks
         self.frames_per_batch, self.steps, self.episodes = frames_per_batch, steps, episodes
-        self.splits, self.start_share = tuple(splits), start_share
+        self.splits, self.start_share, self.paired = tuple(splits), start_share, paired
         self.other_data = False
 
     @property
@@ -95,6 +98,12 @@ class Trajectories(lightning.LightningDataModule):
         self.metadata = read_metadata(self.path)
         self.spec = spec_of(self.metadata)
         if stage == "fit":
+            for name in self.splits if self.paired else ():
+                if self.views(name) != 2:
+                    raise ValueError(
+                        f"paired needs two views of every trajectory and the split {name} of {self.path} has "
+                        f"{self.views(name)}; collect it with views: 2, or leave paired out."
+                    )
             for name in self.metadata["splits"]:
                 check_split(self.split(name), name)
 
@@ -117,7 +126,11 @@ class Trajectories(lightning.LightningDataModule):
 
     def split(self, name: str) -> TensorDictBase:
         """The first ``episodes`` of one split, memory-mapped; [episodes, T + 1]. All that is fitted comes from here."""
-        return open_split(self.path, name)[: self.episodes]
+        return open_split(self.path, name)[: self.episodes and self.episodes * self.views(name)]
+
+    def views(self, name: str) -> int:
+        """How many episodes of a split show each of its trajectories."""
+        return self.metadata["splits"].get(name, {}).get("views", 1)
 
     def train_dataloader(self) -> DataLoader:
         splits = [self.split(name) for name in self.splits]
@@ -134,7 +147,7 @@ class Trajectories(lightning.LightningDataModule):
             world_size=world_size,
             start_share=self.start_share,
         )
-        dataset = WindowDataset(splits, self.stacks, self.frame_stack, self.frame_spacing)
+        dataset = WindowDataset(splits, self.stacks, self.frame_stack, self.frame_spacing, self.paired)
         return DataLoader(dataset, sampler=sampler, batch_size=None, collate_fn=as_is)
 
     def val_dataloader(self) -> DataLoader:

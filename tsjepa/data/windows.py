@@ -110,13 +110,22 @@ class WindowDataset(Dataset):
         stacks: W.
         frame_stack: kappa.
         frame_spacing: slots between the frames of a stack.
+        paired: episodes 2 i and 2 i + 1 show one trajectory in two appearances, and a window has both.
     """
 
-    def __init__(self, splits: Sequence[TensorDictBase], stacks: int, frame_stack: int, frame_spacing: int) -> None:
+    def __init__(
+        self,
+        splits: Sequence[TensorDictBase],
+        stacks: int,
+        frame_stack: int,
+        frame_spacing: int,
+        paired: bool = False,
+    ) -> None:
         self.pixels = Frames(splits)
         self.action = torch.cat([split["action"].flatten(0, 1) for split in splits])
         self.expert_action = torch.cat([split.get("expert_action", split["action"]).flatten(0, 1) for split in splits])
         self.frames, self.stacks = splits[0].shape[1], stacks
+        self.paired = paired
         self.offsets = frame_spacing * torch.arange(1 - frame_stack, 1)
 
     def __getitem__(self, window: Window) -> TensorDict:
@@ -125,19 +134,21 @@ class WindowDataset(Dataset):
         Returns:
             The stacks' ``patches`` uint8 [W, H / 4, W / 4, 48 * kappa] (see
             :func:`tsjepa.models.encoder.patchify`), the ``commands`` [step * (W - 1), m] that were applied
-            from the first to the last stack and the ``expert_action`` [W, m] of the supervised baseline.
+            from the first to the last stack and the ``expert_action`` [W, m] of the supervised baseline. Where
+            trajectories are paired, ``target_patches`` are the same stacks in the other appearance.
         """
         newest = window.episode * self.frames + window.start
         stacks = newest[:, None] + window.step * torch.arange(self.stacks)
         slots = newest[:, None] + torch.arange(window.step * (self.stacks - 1))
-        return TensorDict(
-            {
-                "patches": self.stack(stacks),
-                "commands": self.action[slots],
-                "expert_action": self.expert_action[stacks],
-            },
-            batch_size=[len(newest)],
-        )
+        batch = {
+            "patches": self.stack(stacks),
+            "commands": self.action[slots],
+            "expert_action": self.expert_action[stacks],
+        }
+        if self.paired:
+            other = (window.episode ^ 1) - window.episode
+            batch["target_patches"] = self.stack(stacks + self.frames * other[:, None])
+        return TensorDict(batch, batch_size=[len(newest)])
 
     def stack(self, newest: Tensor) -> Tensor:
         """Patches [..., H / 4, W / 4, 48 * kappa] of the stacks that end at the frames numbered ``newest`` [...]."""

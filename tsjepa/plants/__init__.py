@@ -3,6 +3,7 @@
 MuJoCo and dm_control are imported when a plant is made: models and data sets load where they are not installed.
 """
 
+from tsjepa.plants.appearance import Appearance
 from tsjepa.plants.build import build_plant, describe_plant
 from tsjepa.plants.cartpole import CartPole
 from tsjepa.plants.double_cartpole import DoubleCartPole
@@ -17,6 +18,7 @@ from tsjepa.plants.suite import Suite
 from tsjepa.support.spec import PlantSpec
 
 __all__ = [
+    "Appearance",
     "CartPole",
     "DoubleCartPole",
     "Gym",

@@ -8,6 +8,7 @@ from typing import Any
 
 from torch import nn
 
+from tsjepa.plants.appearance import Appearance
 from tsjepa.plants.plant import Plant
 from tsjepa.support.description import build, describe
 
@@ -50,5 +51,5 @@ def describe_plant(plant: Plant) -> dict[str, Any]:
 
 
 def _part_of_a_plant(kind: type) -> bool:
-    """A plant, or a policy among its arguments."""
-    return issubclass(kind, (nn.Module, Plant))
+    """A plant, or a policy or an appearance among its arguments."""
+    return issubclass(kind, (nn.Module, Plant, Appearance))

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from tsjepa.plants import cartpole_law
+from tsjepa.plants.appearance import Appearance
 from tsjepa.plants.bent_lqr import BentLQR
 from tsjepa.plants.lens import View
 from tsjepa.plants.lqr import ClippedLQR, lqr_gain, lqr_value
@@ -70,6 +71,7 @@ class CartPole(MujocoPlant):
         set_point_step: the wanted position jumps between plus and minus this, metres; 0 keeps it at the origin.
         set_point_slots: slots between jumps.
         pole_length: metres from the hinge to the tip; its mass stays 0.1 kg. A shorter pole falls faster.
+        appearance: what else is drawn for each of them; None for nothing.
 
     Raises:
         ValueError: a pole that has no length.
@@ -86,6 +88,7 @@ class CartPole(MujocoPlant):
         set_point_step: float = 0.0,
         set_point_slots: int = 50,
         pole_length: float = POLE_LENGTH,
+        appearance: Appearance | None = None,
     ) -> None:
         if not 0 < pole_length < np.inf:
             raise ValueError(f"pole_length {pole_length!r} must be a positive number of metres")
@@ -107,7 +110,7 @@ class CartPole(MujocoPlant):
             watched_limit=0.05,
         )
         model = load_suite_model("cartpole", lambda suite: in_newtons(suite, pole_length))
-        super().__init__(model, spec, VIEW, start_half_widths, process_noise_std, random_colors)
+        super().__init__(model, spec, VIEW, start_half_widths, process_noise_std, random_colors, appearance)
         self.sampling_interval = sampling_interval
         self.set_point_step, self.set_point_slots = set_point_step, set_point_slots
         self.pole_length = pole_length

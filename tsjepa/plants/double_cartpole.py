@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from tsjepa.plants.appearance import Appearance
 from tsjepa.plants.cartpole import MAX_FORCE, in_newtons
 from tsjepa.plants.lens import View
 from tsjepa.plants.lqr import ClippedLQR, lqr_gain
@@ -39,6 +40,7 @@ class DoubleCartPole(MujocoPlant):
         start_half_widths: of the uniform start (m, rad, rad, m/s, rad/s, rad/s).
         set_point_step: the wanted position jumps between plus and minus this, metres; 0 keeps it at the origin.
         set_point_slots: slots between jumps.
+        appearance: what else is drawn for each of them; None for nothing.
     """
 
     normaliser = "reference LQR"
@@ -51,6 +53,7 @@ class DoubleCartPole(MujocoPlant):
         start_half_widths: Sequence[float] = START_HALF_WIDTHS,
         set_point_step: float = 0.0,
         set_point_slots: int = 50,
+        appearance: Appearance | None = None,
     ) -> None:
         spec = PlantSpec(
             action_low=(-MAX_FORCE,),
@@ -70,7 +73,7 @@ class DoubleCartPole(MujocoPlant):
             watched_limit=BOX_ANGLE,
         )
         model = load_suite_model("cartpole", in_newtons, num_poles=2)
-        super().__init__(model, spec, VIEW, start_half_widths, process_noise_std, random_colors)
+        super().__init__(model, spec, VIEW, start_half_widths, process_noise_std, random_colors, appearance)
         self.sampling_interval = sampling_interval
         self.set_point_step, self.set_point_slots = set_point_step, set_point_slots
 

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     import mujoco
 
 MARGIN = 1  # pixels of the finished frame around the moving parts
+THICKNESS = 1e-3  # of a flat box, over the frame's height
 CORNERS = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
 
 
@@ -78,6 +79,7 @@ class Lens:
         near: distance of the near plane.
         half_height: half the height of the frustum on the near plane.
         height, width: of the frame in pixels.
+        shift: pixels by which the picture is moved right and up.
     """
 
     position: np.ndarray
@@ -86,6 +88,7 @@ class Lens:
     half_height: float
     height: int
     width: int
+    shift: tuple[float, float] = (0.0, 0.0)
 
     @classmethod
     def of(cls, camera: mujoco.MjvGLCamera, height: int, width: int) -> Lens:
@@ -98,11 +101,27 @@ class Lens:
         """Pixel coordinates [..., 2] (right of the left edge, above the bottom edge) of points [..., 3] in metres."""
         seen = (points - self.position) @ self.axes.T
         scale = self.near / self.half_height * self.height / 2
-        return seen[..., :2] / seen[..., 2:] * scale + np.array((self.width, self.height)) / 2
+        return seen[..., :2] / seen[..., 2:] * scale + np.array((self.width, self.height)) / 2 + self.shift
+
+    def box(self, right: float, up: float, wide: float, high: float, angle: float, depth: float) -> tuple:
+        """A flat box that faces the camera, as MuJoCo's half edges [3], position [3] and axes [9].
+
+        Args:
+            right, up: of its centre from the middle of the unmoved picture, over the frame's height.
+            wide, high: its edges over the frame's height.
+            angle: radians by which it is turned, seen anticlockwise.
+            depth: metres before the camera.
+        """
+        tall = 2 * self.half_height / self.near * depth  # of what the frame shows there, metres
+        x, y, forward = self.axes
+        turned = math.cos(angle) * x + math.sin(angle) * y, math.cos(angle) * y - math.sin(angle) * x, -forward
+        position = self.position + depth * forward + tall * (right * x + up * y)
+        return np.array((wide, high, THICKNESS)) * tall / 2, position, np.stack(turned, axis=1).reshape(9)
 
     def aim(self, camera: mujoco.MjvGLCamera, rectangle: np.ndarray) -> None:
         """Narrows the frustum of ``camera`` to ``rectangle`` (left, bottom, width, height in pixels of the frame)."""
         left, bottom, width, height = rectangle.tolist()
+        left, bottom = left - self.shift[0], bottom - self.shift[1]
         pixel = 2 * self.half_height / self.height
         camera.frustum_center = (left + width / 2 - self.width / 2) * pixel
         camera.frustum_bottom = (bottom - self.height / 2) * pixel

@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from tsjepa.plants.appearance import Appearance, bright
 from tsjepa.plants.lens import View
 from tsjepa.plants.plant import Plant
 from tsjepa.plants.streams import COLOR, NOISE, REFERENCE, START, normals, uniforms
@@ -19,15 +20,15 @@ from tsjepa.support.spec import PlantSpec
 if TYPE_CHECKING:  # training from a data set needs the specs and experts of this room, but not MuJoCo
     import mujoco
 
-DARKEST = 0.25  # of a colour's components, so that it shows on black
 DIFFERENCE = 1e-5  # of the finite differences, in the state's and the command's units
 
 
 class MujocoPlant(Plant):
     """The part of a plant that follows from a MuJoCo model; see :class:`tsjepa.plants.plant.Plant` for its methods.
 
-    The physics is [N, nq + nv + na]: joint positions, velocities, activations. Its scene is the positions, then RGB of
-    every moving geom. A subclass has ``state``, ``score``, ``failed`` and ``experts``, and may replace the rest.
+    The physics is [N, nq + nv + na]: joint positions, velocities, activations. Its scene is the positions, RGB of every
+    moving geom and what an appearance draws beside them. A subclass has ``state``, ``score``, ``failed`` and
+    ``experts``, and may replace the rest.
 
     Args:
         model: with a camera called "view", or else its first one; its timestep is set to fill the slot.
@@ -36,6 +37,7 @@ class MujocoPlant(Plant):
         start_half_widths: of the uniform start about zero, [nq + nv], in metres, radians and per second.
         process_noise_std: noise added to the velocities after every slot: one number or one a velocity.
         random_colors: draw the colour of every moving part for each device and episode.
+        appearance: what else is drawn for each of them.
 
     Raises:
         ValueError: a half-width or a standard deviation that is negative, not finite, or not one for each.
@@ -49,11 +51,13 @@ class MujocoPlant(Plant):
         start_half_widths: Sequence[float] | np.ndarray,
         process_noise_std: float | Sequence[float] = 0.0,
         random_colors: bool = False,
+        appearance: Appearance | None = None,
     ) -> None:
-        self.model, self.spec, self.view, self.random_colors = model, spec, view, random_colors
+        self.model, self.spec, self.view = model, spec, view
+        self.random_colors, self.appearance = random_colors, appearance
         self.start_half_widths = _positive("start_half_widths", start_half_widths, model.nq + model.nv)
         self.process_noise_std = _positive("process_noise_std", process_noise_std, model.nv)
-        self._colors_of: tuple | None = None
+        self._looks_of: tuple | None = None
         place_camera(model, view)
 
     def __getstate__(self) -> dict:
@@ -93,19 +97,27 @@ class MujocoPlant(Plant):
         return action
 
     def scene(self, physics, seed, device, episode) -> np.ndarray:
-        """Joint positions, then RGB of every moving geom."""
-        colors = np.broadcast_to(self.colors.reshape(1, -1), (len(physics), self.colors.size))
-        if self.random_colors:
-            colors = self._drawn_colors(seed, device, episode)
-        return np.concatenate([physics[:, : self.model.nq], colors], axis=1).astype(np.float32)
+        """Joint positions, RGB of every moving geom, and the numbers of the appearance's surroundings."""
+        looks = [
+            np.broadcast_to(numbers, (len(physics), numbers.shape[-1]))
+            for numbers in self._looks(seed, device, episode)
+        ]
+        return np.concatenate([physics[:, : self.model.nq], *looks], axis=1).astype(np.float32)
 
-    def _drawn_colors(self, seed: int, device: np.ndarray, episode: np.ndarray) -> np.ndarray:
-        """RGB [N, 3 parts] of an episode; the last ones are kept, because a fleet asks for them in every slot."""
+    def _looks(self, seed: int, device: np.ndarray, episode: np.ndarray) -> list[np.ndarray]:
+        """RGB [N or 1, 3 parts] of an episode, and its surroundings where there are any.
+
+        The last ones are kept, because a fleet asks for them in every slot.
+        """
         wanted = seed, device.tobytes(), episode.tobytes()
-        if self._colors_of != wanted:
-            parts = [uniforms(seed, COLOR + part, device, episode, count=3) for part in range(len(self.colors))]
-            self._colors_of, self._last_colors = wanted, DARKEST + (1.0 - DARKEST) * np.concatenate(parts, axis=-1)
-        return self._last_colors
+        if self._looks_of != wanted:
+            colors, look = self.colors.reshape(1, -1), self.appearance
+            if self.random_colors or (look and look.colors):
+                parts = [uniforms(seed, COLOR + part, device, episode, count=3) for part in range(len(self.colors))]
+                colors = bright(np.concatenate(parts, axis=-1))
+            self._looks_of = wanted
+            self._last_looks = [colors, look.draw(seed, device, episode)] if look else [colors]
+        return self._last_looks
 
     @functools.cached_property
     def colors(self) -> np.ndarray:
@@ -116,8 +128,22 @@ class MujocoPlant(Plant):
 
     def render(self, scene: np.ndarray) -> np.ndarray:
         """Pictures uint8 [N, H, W, 3]."""
-        colors = scene[:, self.model.nq :].reshape(len(scene), -1, 3)
-        return self.renderer.render(scene[:, : self.model.nq], colors)
+        nq, parts = self.model.nq, self.colors.size
+        qpos, colors, looks = (
+            scene[:, :nq],
+            scene[:, nq : nq + parts].reshape(len(scene), -1, 3),
+            scene[:, nq + parts :],
+        )
+        if not looks.size:
+            return self.renderer.render(qpos, colors)
+        height, width = self.spec.frame
+        frames = np.empty((len(scene), height, width, 3), np.uint8)
+        each, kind = np.unique(looks, axis=0, return_inverse=True)
+        for number, look in enumerate(each):
+            rows = np.flatnonzero(kind.ravel() == number)
+            around = self.appearance.surroundings(look, width, height)
+            frames[rows] = self.renderer.render(qpos[rows], colors[rows], around)
+        return frames
 
     def camera(self) -> dict:
         """See :meth:`tsjepa.plants.renderer.Renderer.metadata`."""

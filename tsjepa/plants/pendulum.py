@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from tsjepa.plants.appearance import Appearance
 from tsjepa.plants.lens import View
 from tsjepa.plants.lqr import lqr_gain
 from tsjepa.plants.mujoco_plant import MujocoPlant
@@ -70,6 +71,7 @@ class Pendulum(MujocoPlant):
         process_noise_std: noise on the rate after every slot, rad/s.
         random_colors: draw colours for each device and episode.
         start_half_widths: of the uniform start (rad from the top, rad/s).
+        appearance: what else is drawn for each of them; None for nothing.
     """
 
     def __init__(
@@ -78,6 +80,7 @@ class Pendulum(MujocoPlant):
         process_noise_std: float | Sequence[float] = 0.0,
         random_colors: bool = False,
         start_half_widths: Sequence[float] = (math.pi, 0.0),
+        appearance: Appearance | None = None,
     ) -> None:
         spec = PlantSpec(
             action_low=(-MAX_TORQUE,),
@@ -93,7 +96,7 @@ class Pendulum(MujocoPlant):
             watched_limit=math.sin(math.radians(8.0)),
         )
         model = load_suite_model("pendulum", without_floor)
-        super().__init__(model, spec, VIEW, start_half_widths, process_noise_std, random_colors)
+        super().__init__(model, spec, VIEW, start_half_widths, process_noise_std, random_colors, appearance)
         self.sampling_interval = sampling_interval
 
     def state(self, physics: np.ndarray) -> np.ndarray:

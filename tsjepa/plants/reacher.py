@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from tsjepa.plants.appearance import Appearance
 from tsjepa.plants.lens import View
 from tsjepa.plants.mujoco_plant import MujocoPlant
 from tsjepa.plants.streams import REFERENCE, uniforms
@@ -70,6 +71,7 @@ class Reacher(MujocoPlant):
         random_colors: draw colours for each device and episode.
         start_half_widths: of the uniform start (rad, rad, rad/s, rad/s); the wrist's joint ends at 2.79 rad.
         goal_slots: slots after which the goal is drawn anew; 0 for one goal an episode.
+        appearance: what else is drawn for each of them; None for nothing.
     """
 
     def __init__(
@@ -79,6 +81,7 @@ class Reacher(MujocoPlant):
         random_colors: bool = False,
         start_half_widths: Sequence[float] = (math.pi, 2.7, 0.0, 0.0),
         goal_slots: int = 50,
+        appearance: Appearance | None = None,
     ) -> None:
         reach = GOAL_RADIUS[1]
         spec = PlantSpec(
@@ -99,7 +102,7 @@ class Reacher(MujocoPlant):
             watched_limit=0.1,
         )
         model = load_suite_model("reacher", arm_alone)
-        super().__init__(model, spec, VIEW, start_half_widths, process_noise_std, random_colors)
+        super().__init__(model, spec, VIEW, start_half_widths, process_noise_std, random_colors, appearance)
         self.sampling_interval, self.goal_slots = sampling_interval, goal_slots
 
     def state(self, physics: np.ndarray) -> np.ndarray:

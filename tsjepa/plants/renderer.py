@@ -10,10 +10,12 @@ import weakref
 import mujoco
 import numpy as np
 
+from tsjepa.plants.appearance import MOST_DISTRACTORS, PLAIN, Surroundings
 from tsjepa.plants.lens import Lens, View, rectangles
 from tsjepa.support.gl import context_class, missing_backend_message
 
 DEFAULT_RGBA = (0.5, 0.5, 0.5, 1.0)  # of a geom that names no colour
+BACKGROUNDS = 256  # that are kept: a fleet's episodes, each of which looks otherwise
 DISABLED = ("SHADOW", "REFLECTION", "SKYBOX", "FOG", "HAZE")
 
 
@@ -44,8 +46,8 @@ def _release(gl: mujoco.GLContext, context: mujoco.MjrContext) -> None:
 class Renderer:
     """Renders frames of a model; keeps its GL context, scene and buffers between calls.
 
-    The context is made on the first frame, so an instance costs nothing (and needs no GL) until then. The background is
-    rendered once; of every frame only the rectangle around what moves is, and put into it.
+    The context is made on the first frame, so an instance costs nothing (and needs no GL) until then. The background of
+    every surroundings is rendered once; of every frame only the rectangle around what moves is, and put into it.
 
     Args:
         model: whose moving parts are geoms.
@@ -57,12 +59,13 @@ class Renderer:
         self.model, self.view, self.height, self.width = model, view, height, width
         self._gl = None
 
-    def render(self, qpos: np.ndarray, colors: np.ndarray | None = None) -> np.ndarray:
+    def render(self, qpos: np.ndarray, colors: np.ndarray | None = None, around: Surroundings = PLAIN) -> np.ndarray:
         """Renders one frame per row.
 
         Args:
             qpos: [N, nq] joint positions, metres and radians.
             colors: [N, parts, 3] RGB in [0, 1] of the moving geoms, in the model's order; None for the model's own.
+            around: light, camera and what stands behind and before the moving parts in all of these frames.
 
         Returns:
             uint8 [N, height, width, 3], a fresh array.
@@ -86,16 +89,20 @@ class Renderer:
         if not len(qpos):
             return np.empty((0, self.height, self.width, 3), np.uint8)
         self._ready()
-        frames = np.repeat(self._background[None], len(qpos), axis=0)
+        lens = self._surround(around)
+        frames = np.repeat(self._background(around, lens)[None], len(qpos), axis=0)
         position, axes = self._poses(qpos)
-        for row, rectangle in enumerate(rectangles(self._lens, position, axes, self._centres, self._extents)):
+        for row, rectangle in enumerate(rectangles(lens, position, axes, self._centres, self._extents)):
             left, bottom, width, height = rectangle.tolist()
             if width and height:
                 for part, shape in enumerate(self._shapes):
                     shape.pos, shape.mat = position[row, part], axes[row, part]
                     shape.rgba[:3] = self._colors[part] if colors is None else colors[row, part]
                 top = self.height - bottom - height
-                frames[row, top : top + height, left : left + width] = self._draw(rectangle)
+                frames[row, top : top + height, left : left + width] = self._draw(rectangle, lens)
+        if around.occluder is not None:
+            left, width, *color = around.occluder
+            frames[:, :, left : left + width] = np.round(255 * np.array(color))
         return frames
 
     def metadata(self) -> dict:
@@ -129,12 +136,12 @@ class Renderer:
             axes[row] = self._data.geom_xmat[self._geoms]
         return position, axes.reshape(len(qpos), parts, 3, 3)
 
-    def _draw(self, rectangle: np.ndarray) -> np.ndarray:
+    def _draw(self, rectangle: np.ndarray, lens: Lens) -> np.ndarray:
         """The scene within a rectangle (left, bottom, width, height) of the frame; uint8 [height, width, 3]."""
         import cv2
 
         for camera in self._scene.camera:  # of both eyes, whose mean is used
-            self._lens.aim(camera, rectangle)
+            lens.aim(camera, rectangle)
         _, _, width, height = rectangle.tolist()
         scale = self.view.supersampling
         viewport = mujoco.MjrRect(0, 0, scale * width, scale * height)
@@ -170,7 +177,6 @@ class Renderer:
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
         self._buffer = np.empty(height * width * 3, np.uint8)
         self._build_scene()
-        self._background = self._draw(np.array((0, 0, self.width, self.height))).copy()
         self._gl = gl
         # At exit the context has to go before the display does; a plain finalizer would run after it.
         finalizer = weakref.finalize(self, _release, gl, self._context)
@@ -178,7 +184,7 @@ class Renderer:
         atexit.register(finalizer)
 
     def _build_scene(self) -> None:
-        self._scene = mujoco.MjvScene(self.model, maxgeom=self.model.ngeom + 16)
+        self._scene = mujoco.MjvScene(self.model, maxgeom=self.model.ngeom + MOST_DISTRACTORS)
         for flag in DISABLED:
             self._scene.flags[getattr(mujoco.mjtRndFlag, f"mjRND_{flag}")] = 0
         camera = mujoco.MjvCamera()
@@ -200,5 +206,34 @@ class Renderer:
         boxes = self.model.geom_aabb[self._geoms].reshape(-1, 2, 3)
         self._centres, self._extents = boxes[:, 0], boxes[:, 1]
         self._lens = Lens.of(self._scene.camera[0], self.height, self.width)
-        for shape in self._shapes:  # behind the camera, until the background is drawn
-            shape.pos = self._lens.position - self._lens.axes[2] * 10
+        self._lights = [
+            (light, light.ambient.copy(), light.diffuse.copy())
+            for light in self._scene.lights[: self._scene.nlight]
+            if light.headlight
+        ]
+        self._own_geoms, self._around, self._backgrounds = self._scene.ngeom, PLAIN, {}
+        centre = (self.model.stat.center - self._lens.position) @ self._lens.axes[2]
+        self._depth = centre + self.model.stat.extent  # behind the whole model
+
+    def _surround(self, around: Surroundings) -> Lens:
+        """Puts the surroundings into the scene, where they stay; returns the lens that looks at them."""
+        if around != self._around:
+            for light, ambient, diffuse in self._lights:
+                light.ambient, light.diffuse = around.light * ambient, around.light * diffuse
+            for number, (*where, red, green, blue) in enumerate(around.distractors, self._own_geoms):
+                size, position, axes = self._lens.box(*where, self._depth)
+                rgba = np.array((red, green, blue, 1.0), np.float32)
+                mujoco.mjv_initGeom(self._scene.geoms[number], mujoco.mjtGeom.mjGEOM_BOX, size, position, axes, rgba)
+            self._scene.ngeom = self._own_geoms + len(around.distractors)
+            self._around = around
+        return self._lens if around.shift == (0.0, 0.0) else dataclasses.replace(self._lens, shift=around.shift)
+
+    def _background(self, around: Surroundings, lens: Lens) -> np.ndarray:
+        """The picture [H, W, 3] without what moves."""
+        if around not in self._backgrounds:
+            if len(self._backgrounds) >= BACKGROUNDS:
+                del self._backgrounds[next(iter(self._backgrounds))]
+            for shape in self._shapes:
+                shape.pos = lens.position - lens.axes[2] * 10  # behind the camera
+            self._backgrounds[around] = self._draw(np.array((0, 0, self.width, self.height)), lens).copy()
+        return self._backgrounds[around]

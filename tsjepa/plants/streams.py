@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import numpy as np
 
-# Purposes. COLOR + i belongs to the i-th coloured part; a draw of many numbers uses purpose + BLOCK, + 2 BLOCK, ...
+# Purposes. COLOR + i belongs to the i-th coloured part, DISTRACTOR + i to the i-th distractor; a draw of many numbers
+# uses purpose + BLOCK, + 2 BLOCK, ...
 START, NOISE, COLOR, REFERENCE = 0, 1, 2, 500
+LIGHT, SHIFT, OCCLUDER, DISTRACTOR = 600, 601, 602, 700
 BLOCK = 1000
 _MULTIPLIERS = np.uint64(0xD2511F53), np.uint64(0xCD9E8D57)
 _WEYL = np.uint64(0x9E3779B9), np.uint64(0xBB67AE85)

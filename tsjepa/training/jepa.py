@@ -42,6 +42,9 @@ class TSJEPA(lightning.LightningModule):
         variance_weight: weight of the variance term (0 in the paper).
         covariance_weight: weight of the covariance term (0 in the paper).
         inverse_weight: weight of the inverse-dynamics term (0 in the paper).
+        view_weight: weight of the distance between a stack's embedding and its target, where the target is the same
+            stack in another appearance. The prediction alone does not ask for it: a predictor may leave out what an
+            embedding holds of appearance.
         pretrained: zoo entry (name or folder) to start from, as far as sizes agree.
         terms: of one's own, added to the loss.
     """
@@ -57,6 +60,7 @@ class TSJEPA(lightning.LightningModule):
         variance_weight: float = 0.1,
         covariance_weight: float = 0.01,
         inverse_weight: float = 1.0,
+        view_weight: float = 1.0,
         pretrained: str | None = None,
         terms: Sequence[LossTerm] = (),
     ) -> None:
@@ -79,7 +83,7 @@ class TSJEPA(lightning.LightningModule):
         self.inverse_dynamics = InverseDynamics(encoder.embedding_dim, predictor.action_dim) if inverse_weight else None
         self.optimizer, self.scheduler = optimizer, scheduler
         self.variance_weight, self.covariance_weight = variance_weight, covariance_weight
-        self.inverse_weight, self.terms = inverse_weight, tuple(terms)
+        self.inverse_weight, self.view_weight, self.terms = inverse_weight, view_weight, tuple(terms)
 
     def train(self, mode: bool = True) -> TSJEPA:
         super().train(mode)
@@ -109,12 +113,17 @@ class TSJEPA(lightning.LightningModule):
         generator = torch.Generator().manual_seed(derive(run_seed(), "augmentation", self.global_step))
         mix = getattr(self.encoder, "color_mix", None)
         patches = self.augmentation(batch["patches"].flatten(0, 1), generator, stacks, mix)
+        other = batch.get("target_patches", None)
+        seen = patches if other is None else self.augmentation(other.flatten(0, 1), generator, stacks, mix)
         embedding = embed_patches(self.encoder, patches).unflatten(0, (windows, stacks))
         with torch.no_grad():
-            target = embed_patches(self.target_encoder.module, patches).unflatten(0, (windows, stacks))
+            target = embed_patches(self.target_encoder.module, seen).unflatten(0, (windows, stacks))
         gap = commands.shape[1] // (stacks - 1)
         terms = {"prediction_loss": self.prediction_loss(embedding, target, commands, gap)}
         loss = terms["prediction_loss"]
+        if other is not None:
+            terms["view_loss"] = cosine_loss(embedding, target)
+            loss = loss + self.view_weight * terms["view_loss"]
         flat = gather(embedding.flatten(0, 1))
         if self.variance_weight:
             terms["variance_loss"] = variance_loss(flat)
