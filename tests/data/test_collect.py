@@ -7,7 +7,7 @@ import torch
 from tsjepa.data.collect import Coverage, Split, collect
 from tsjepa.data.storage import METADATA, content_hash, open_split, read_metadata
 from tsjepa.evaluation.conditions import warn_of_another_renderer
-from tsjepa.plants import CartPole, Reacher
+from tsjepa.plants import Appearance, CartPole, Reacher
 from tsjepa.plants.renderer import Renderer
 
 PLANT = CartPole()
@@ -124,3 +124,30 @@ def test_a_split_may_have_a_length_of_its_own_and_a_plant_its_set_points(tmp_pat
     expert = Reacher().experts()["expert"]
     assert torch.equal(starts["expert_action"], expert(starts["state"].clone(), starts["reference"].clone()))
     assert read_metadata(folder)["plant"]["class_path"] == "tsjepa.plants.Reacher"
+
+
+def test_views_are_one_trajectory_in_two_appearances(tmp_path):
+    plant = CartPole(appearance=Appearance(colors=True, light=(0.5, 1.5), shift_pixels=(1.0, 1.0), distractors=2))
+    splits = {"train": Split(3, views=2), "test": Split(2)}
+    folder = collect(str(tmp_path / "looks"), plant, splits, slots=8, seed=7)
+    split = open_split(folder, "train")
+    first, second = split[::2], split[1::2]
+    assert split.batch_size == (6, 9) and read_metadata(folder)["splits"]["train"]["views"] == 2
+    for key in ("state", "action", "expert_action", "reference"):
+        assert torch.equal(first[key], second[key])
+    assert not torch.equal(first["state"][0], first["state"][1])
+    assert torch.equal(first["scene"][..., :2], first["state"][..., :2])
+    assert torch.equal(second["scene"][..., :2], first["scene"][..., :2])
+    looks = split["scene"][..., 2:]
+    assert torch.equal(looks, looks[:, :1].expand_as(looks))  # an episode keeps its own
+    assert (looks[0::2] != looks[1::2]).all() and (looks[0] != looks[2]).all()
+    for episode in (2, 3):
+        assert np.array_equal(split["pixels"][episode].numpy(), plant.render(split["scene"][episode].numpy()))
+    # the machine itself does not know how it looks
+    plain = open_split(collect(str(tmp_path / "plain"), PLANT, {"train": Split(3)}, slots=8, seed=7), "train")
+    assert torch.equal(plain["state"], first["state"])
+
+
+def test_a_split_without_views_is_refused(tmp_path):
+    with pytest.raises(ValueError, match=r"splits\.train\.views is 0"):
+        collect(str(tmp_path / "none"), PLANT, {"train": Split(2, views=0)}, slots=8)

@@ -1,8 +1,11 @@
+import json
+
 import pytest
 import tiny_data
 import torch
 
 from tsjepa.data.module import Trajectories
+from tsjepa.data.storage import METADATA
 
 
 @pytest.fixture(scope="module")
@@ -27,3 +30,26 @@ def test_a_split_stays_on_the_disk_and_a_batch_goes_to_the_device(path):
     assert data.transfer_batch_to_device(split, device, 0) is split
     batch = next(iter(data.train_dataloader()))
     assert data.transfer_batch_to_device(batch, device, 0)["patches"].device == device
+
+
+@pytest.fixture
+def in_views(tmp_path):
+    """A data set whose four episodes for training are two trajectories in two views."""
+    folder = tiny_data.write(tmp_path / "views", slots=12, train=4, validation=3)
+    metadata = json.loads((folder / METADATA).read_text())
+    metadata["splits"]["train"]["views"] = 2
+    (folder / METADATA).write_text(json.dumps(metadata))
+    return folder
+
+
+def test_episodes_counts_trajectories_and_not_their_views(in_views):
+    data = Trajectories(in_views, episodes=1)
+    assert len(data.split("train")) == 2 and len(data.split("validation")) == 1
+
+
+def test_pairs_are_taken_from_data_that_has_them_only(path, in_views):
+    data = Trajectories(in_views, frames_per_batch=16, stacks=4, steps=[1], paired=True)
+    data.setup("fit")
+    assert next(iter(data.train_dataloader()))["target_patches"].shape == (4, 4, 16, 32, 96)
+    with pytest.raises(ValueError, match=r"the split train of .* has 1; collect it with views: 2"):
+        Trajectories(path, paired=True).setup("fit")

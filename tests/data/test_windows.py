@@ -130,3 +130,15 @@ def test_windows_longer_than_the_trajectories_are_refused():
         sampler(steps=(10,))
     with pytest.raises(ValueError, match="do not divide"):
         sampler(windows_per_batch=9, world_size=2)
+
+
+def test_a_paired_window_has_the_same_slots_of_the_other_view():
+    dataset = WindowDataset([numbered_split(4)], stacks=3, frame_stack=2, frame_spacing=2, paired=True)
+    batch = dataset[Window(torch.tensor([1, 2]), torch.tensor([5, 2]), step=4)]
+    numbers, others = (
+        unpatchify(batch[key].flatten(0, 1))[..., 0, 0, 0].unflatten(0, (2, 3)).long()
+        for key in ("patches", "target_patches")
+    )
+    # episodes 0 and 1 are one trajectory, and so are 2 and 3; each has 20 frames
+    assert torch.equal(others[0], numbers[0] - 20) and torch.equal(others[1], numbers[1] + 20)
+    assert numbers[0].tolist() == [[23, 25], [27, 29], [31, 33]]

@@ -7,6 +7,7 @@ from torch.nn import functional as F
 
 from tsjepa.data.augmentation import Augmentation
 from tsjepa.models import Encoder, Predictor, rollout
+from tsjepa.models.encoder import unpatchify
 from tsjepa.support.spec import PlantSpec
 from tsjepa.training.jepa import TSJEPA
 from tsjepa.training.schedule import warmup_cosine
@@ -171,3 +172,30 @@ def test_warm_up_then_cosine():
     assert warmup_cosine(0.05) == pytest.approx(1.0)
     assert warmup_cosine(0.525) == pytest.approx(0.5)
     assert warmup_cosine(1.0) == pytest.approx(0.0) == warmup_cosine(1.1)
+
+
+def test_targets_are_of_the_other_view_and_its_distance_is_a_term(monkeypatch):
+    same = Augmentation(brightness=0, contrast=0, saturation=0, hue=0, grayscale=0)
+    module = TSJEPA(Encoder(2, (4, 8, 8), D), Predictor(D, 32), same, view_weight=3.0).train()
+    seen, logged = {}, {}
+    monkeypatch.setattr(TSJEPA, "log_terms", lambda self, terms, loss: logged.update(terms, loss=loss))
+    inner = module.prediction_loss
+
+    def prediction_loss(embedding, target, commands, gap):
+        seen.update(embedding=embedding, target=target)
+        return inner(embedding, target, commands, gap)
+
+    monkeypatch.setattr(module, "prediction_loss", prediction_loss)
+    generator = torch.Generator().manual_seed(0)
+    patches, other = torch.randint(0, 256, (2, 2, 3, 16, 32, 96), dtype=torch.uint8, generator=generator)
+    batch = {"patches": patches, "target_patches": other, "commands": torch.ones(2, 4, 1)}
+    module.training_step(batch, 0)
+    target = module.target_encoder.module(unpatchify(other.flatten(0, 1))).view(2, 3, D)
+    torch.testing.assert_close(seen["target"], target)
+    own = module.target_encoder.module(unpatchify(patches.flatten(0, 1))).view(2, 3, D)
+    assert not torch.allclose(seen["target"], own)
+    distance = 1 - F.cosine_similarity(seen["embedding"], target, dim=-1).mean()
+    torch.testing.assert_close(logged["view_loss"], distance)
+    weights = {"prediction_loss": 1.0, "view_loss": 3.0, "variance_loss": 0.1, "covariance_loss": 0.01}
+    expected = logged["inverse_loss"] + sum(weight * logged[name] for name, weight in weights.items())
+    torch.testing.assert_close(logged["loss"], expected)

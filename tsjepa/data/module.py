@@ -126,11 +126,12 @@ class Trajectories(lightning.LightningDataModule):
 
     def split(self, name: str) -> TensorDictBase:
         """The first ``episodes`` of one split, memory-mapped; [episodes, T + 1]. All that is fitted comes from here."""
-        return open_split(self.path, name)[: self.episodes and self.episodes * self.views(name)]
+        split = open_split(self.path, name)
+        return split if self.episodes is None else split[: self.episodes * self.views(name)]
 
     def views(self, name: str) -> int:
         """How many episodes of a split show each of its trajectories."""
-        return self.metadata["splits"].get(name, {}).get("views", 1)
+        return read_metadata(self.path)["splits"][name].get("views", 1)
 
     def train_dataloader(self) -> DataLoader:
         splits = [self.split(name) for name in self.splits]
