@@ -94,9 +94,9 @@ def test_other_sets_of_starts_are_chosen_by_their_first_number(evaluation, model
     usual, options = rows_of(evaluation[0]), {**SMALL, "periods": (5,), "video": False, "output": str(tmp_path)}
     shifted = evaluate(model, first_seed=1, **options)
     assert shifted["seeds"] == [1, 2] and shifted["starts"] == "2 seeds x 6"
-    own = rows_of(shifted)["TS-JEPA", 5]["per_seed"]
+    before, after = (rows["expert, hold last", 5]["per_seed"] for rows in (usual, rows_of(shifted)))
     # the second of the usual sets is the first of these
-    assert own[0] == usual["TS-JEPA", 5]["per_seed"][1] and own[1] not in usual["TS-JEPA", 5]["per_seed"]
+    assert after[0] == before[1] and after[1] not in before
     entry = str(entries.save(entries.load(model), tmp_path / "entry", {"seeds": [7, 8, 9]}))
     assert evaluate(entry, **{**options, "seeds": None, "starts_per_seed": 2, "slots": 3})["seeds"] == [7, 8, 9]
     with pytest.raises(ValueError, match="first_seed"):

@@ -84,7 +84,9 @@ def broken_off(end: signal.Signals) -> None:
     """Starts the training, ends its process in the middle of the first fit, and waits until the fit has ended too."""
     checkpoint = HOME / "seed0/jepa/checkpoints/last.ckpt"
     before = written(checkpoint)
-    words = [sys.executable, "-m", "tsjepa.cli", "zoo", "train", NAME]
+    # a shell may start the tests in the background, where SIGINT is ignored
+    heard = "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler); from tsjepa import cli; "
+    words = [sys.executable, "-c", f"{heard} sys.exit(cli.main(['zoo', 'train', '{NAME}']))"]
     with open("log.txt", "a") as log, subprocess.Popen(words, stdout=log, stderr=log) as parent:
         try:
             until(lambda: written(checkpoint) != before or parent.poll() is not None)

@@ -30,7 +30,7 @@ def run(words: list[str]) -> float:
     began = time.monotonic()
     command = [sys.executable, "-m", "tsjepa.cli.step", *words]
     # the command ends when its standard input is closed, which leaving this block does, and the end of this process
-    with sigterm_raises(), subprocess.Popen(command, stdin=subprocess.PIPE) as process:
+    with subprocess.Popen(command, stdin=subprocess.PIPE) as process, sigterm_raises():
         try:
             status = process.wait()
         except BaseException as stopped:
