@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
@@ -61,6 +63,28 @@ class ResidualBlock(nn.Module):
     def forward(self, x: Tensor) -> Tensor:
         y = F.relu(self.norm1(self.conv1(x)))
         return F.relu(self.norm2(self.conv2(y)) + self.shortcut(F.avg_pool2d(x, 1, self.stride)))
+
+
+def convolutions(channels: int, widths: Sequence[int], stem_kernel: int) -> tuple[nn.Sequential, nn.Sequential]:
+    """A stem over patches of ``channels`` numbers, and three residual stages that each halve both sides."""
+    first, second, third = widths
+    stem = nn.Sequential(
+        nn.Conv2d(channels, first, stem_kernel, padding=stem_kernel // 2, bias=False), nn.BatchNorm2d(first), nn.ReLU()
+    )
+    stages = ResidualBlock(first, first, 2), ResidualBlock(first, second, 2), ResidualBlock(second, third, 2)
+    return stem, nn.Sequential(*stages)
+
+
+def check_convolutions(widths: Sequence[int], height: int, width: int, stem_kernel: int) -> None:
+    """ValueError unless :func:`convolutions` of these sizes fit the frame."""
+    at_least(1, stem_kernel=stem_kernel)
+    if stem_kernel % 2 == 0:
+        raise ValueError(f"stem_kernel = {stem_kernel} is even; take 1 or 3, so that the kernel has a middle.")
+    if len(widths) != 3 or min(widths) < 1 or height % 32 or width % 32:
+        raise ValueError(
+            f"The encoder takes three widths of at least 1 and a frame whose sides are multiples of 32, not "
+            f"{list(widths)} and {height} x {width}."
+        )
 
 
 class PatchEncoder(nn.Module):
@@ -146,26 +170,11 @@ class Encoder(PatchEncoder):
         stem_kernel: int = 3,
     ) -> None:
         super().__init__(frame_stack, embedding_dim, height, width, grey)
-        at_least(1, stem_kernel=stem_kernel)
-        if stem_kernel % 2 == 0:
-            raise ValueError(f"stem_kernel = {stem_kernel} is even; take 1 or 3, so that the kernel has a middle.")
-        if len(widths) != 3 or min(widths) < 1 or height % 32 or width % 32:
-            raise ValueError(
-                f"The encoder takes three widths of at least 1 and a frame whose sides are multiples of 32, not "
-                f"{list(widths)} and {height} x {width}."
-            )
+        check_convolutions(widths, height, width, stem_kernel)
         self.widths, self.stem_kernel = tuple(widths), stem_kernel
-        first, second, third = widths
-        colors = 1 if grey else 3
-        self.stem = nn.Sequential(
-            nn.Conv2d(colors * PATCH**2 * frame_stack, first, stem_kernel, padding=stem_kernel // 2, bias=False),
-            nn.BatchNorm2d(first),
-            nn.ReLU(),
-        )
-        self.stages = nn.Sequential(
-            ResidualBlock(first, first, 2), ResidualBlock(first, second, 2), ResidualBlock(second, third, 2)
-        )
-        self.project = nn.Linear(third * (height // 32) * (width // 32), embedding_dim)
+        channels = (1 if grey else 3) * PATCH**2 * frame_stack
+        self.stem, self.stages = convolutions(channels, self.widths, stem_kernel)
+        self.project = nn.Linear(widths[-1] * (height // 32) * (width // 32), embedding_dim)
         self.to(memory_format=torch.channels_last)
 
     @property
