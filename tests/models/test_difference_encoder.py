@@ -57,6 +57,24 @@ def test_a_motion_of_a_hundredth_survives_bfloat16():
     assert (rounded - exact).abs().max() < 0.02 * exact.abs().max()
 
 
+def test_with_widths_every_frame_goes_through_the_same_convolutions():
+    sizes = SIZES | {"height": 32, "width": 64, "widths": (4, 6, 8)}
+    encoder, stacks = DifferenceEncoder(3, **sizes).eval(), frames(4, 3, 32, 64)
+    with torch.no_grad():
+        single = [
+            encoder.describe(encoder.stages(encoder.stem(picture)).permute(0, 2, 3, 1).flatten(1))
+            for picture in (
+                encoder.normalize(stacks[:, [place] * 3])[..., :16].permute(0, 3, 1, 2) for place in range(3)
+            )
+        ]
+        described = torch.stack((single[2], single[2] - single[0], single[2] - single[1]), dim=1)
+        entered = F.relu(encoder.enter(encoder.norm(described.flatten(1))))
+        expected = F.normalize(encoder.project(entered + F.relu(encoder.hidden(entered))), dim=-1)
+        torch.testing.assert_close(encoder(stacks), expected, atol=1e-5, rtol=1e-4)
+        still = encoder.convolved(encoder.normalize(stacks[:, [1, 1, 1]]).unflatten(3, (3, -1)).movedim(3, 1))
+    assert (still[:, 1:] == 0).all()
+
+
 def test_the_batch_shape_is_kept_and_other_frames_are_refused():
     encoder = DifferenceEncoder(2, **SIZES).eval()
     with torch.no_grad():
@@ -84,3 +102,5 @@ def test_colours_of_one_luma_look_alike_only_to_a_grey_one():
 def test_sizes_that_make_no_network_are_refused():
     with pytest.raises(ValueError, match="features"):
         DifferenceEncoder(2, 8, 8, 12, features=0)
+    with pytest.raises(ValueError, match="multiples of 32"):
+        DifferenceEncoder(2, 8, 8, 12, widths=(4, 6, 8))
