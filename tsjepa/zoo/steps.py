@@ -72,6 +72,12 @@ ENTRIES: dict[str, Made] = {
     "tsjepa-cartpole-paper": Made(
         (Fit("jepa", ("paper/jepa",), PAPER_20_MS), Fit("actor", ("paper/actor",), PAPER_20_MS)), "data/paper-20ms"
     ),
+    "tsjepa-cartpole-appearance": Made(
+        (Fit("jepa", ("appearance/jepa",)), Fit("actor", ("appearance/actor",))),
+        "data/cartpole-appearance",
+        (),
+        ("appearance/evaluate",),
+    ),
     "tsjepa-double-cartpole": of_plant("double_cartpole"),
     "tsjepa-reacher": of_plant("reacher"),
     "tsjepa-pendulum": of_plant("pendulum"),
