@@ -135,7 +135,7 @@ def test_the_command_records_resumes_and_prints_the_table_and_leaves_out_a_model
     assert cli.main(words) == 0
 
 
-@pytest.mark.parametrize("path", (RESULTS / "figures").glob("robustness.json"))
+@pytest.mark.parametrize("path", [*(RESULTS / "figures").glob("robustness.json")])
 def test_the_page_has_the_table_of_the_shipped_results(path):
     table = robustness.table(store.read(path.parent, path.stem)).strip()
     assert table in (RESULTS / "robustness.md").read_text()
