@@ -24,6 +24,7 @@ PARTS = {
         "tsjepa.training.supervised.Supervised",
         "tsjepa.training.autoencoder.Autoencoder",
         "tsjepa.models.Encoder",
+        "tsjepa.models.DifferenceEncoder",
         "tsjepa.models.Predictor",
         "tsjepa.models.Decoder",
     ],
