@@ -110,7 +110,10 @@ def draw(records: list[dict], path: str | Path) -> None:
                 markerfacecolor="white" if TRAINED in label else plots.color_of(label),
                 label=label,
             )
-        axis.set(xlabel=plots.SCORE if measure == "score" else plots.NMAE, title=every(period))
+        if measure == "score":
+            axis.set(xlabel=plots.SCORE, title=every(period))
+        else:
+            axis.set(xlabel=plots.NMAE, title=every(period), xscale="log")
         axis.set_yticks(range(len(names)), names)
         axis.grid(axis="y", alpha=0.3)
     axes[0].invert_yaxis()
