@@ -12,8 +12,10 @@ from tsjepa.paper import (
     frame_change,
     one_device,
     schedulers,
+    tsne,
 )
 from tsjepa.paper.claims import NOT, PARTLY, REPRODUCED, setbacks
+from tsjepa.plants import Appearance, CartPole, describe_plant
 
 SEEDS = range(3)
 
@@ -267,3 +269,43 @@ def test_sent_once(ours, theirs, verdict):
     found = one_device.verdicts(records)
     assert found["once_score"].verdict == verdict
     assert found["near_optimal"].verdict == found["once_growth"].verdict == REPRODUCED
+
+
+def colours(model: str, **trained: bool) -> dict:
+    """The verdicts of the figure whose TS-JEPA is ``model``."""
+    records = [
+        record({"label": "TS-JEPA", "model": model}, colour_distance=0.08, neighbour_error=0.1),
+        record({"label": "autoencoder", "model": "autoencoder-cartpole"}, colour_distance=0.3, neighbour_error=0.3),
+    ]
+    for row in records[0]["rows"]:
+        row |= trained
+    return tsne.verdicts(records)
+
+
+def test_the_verdict_on_colours_says_of_which_model_it_is():
+    found = colours("runs/appearance-actor/model", drawn_colours=True)["colour"]
+    assert found.verdict == REPRODUCED
+    assert "TS-JEPA is `runs/appearance-actor/model`, trained on drawn colours, the autoencoder" in found.ours
+    plain = colours("tsjepa-cartpole", drawn_colours=False)["colour"].ours
+    assert "`tsjepa-cartpole`, trained on one colour of each part" in plain
+    # a record that does not say what it was trained on
+    assert colours("tsjepa-cartpole")["colour"].ours.endswith(
+        "TS-JEPA is `tsjepa-cartpole`, the autoencoder `autoencoder-cartpole`"
+    )
+
+
+@pytest.mark.parametrize(
+    ("arguments", "drawn"),
+    [
+        ({}, False),
+        ({"random_colors": True}, True),
+        ({"appearance": Appearance(distractors=2)}, False),
+        ({"appearance": Appearance(colors=True)}, True),
+    ],
+)
+def test_a_model_of_drawn_colours_is_known_by_the_plant_that_it_was_trained_on(arguments, drawn):
+    assert tsne.draws_colours(describe_plant(CartPole(**arguments))) is drawn
+
+
+def test_a_model_of_a_recording_has_no_plant_that_draws_colours():
+    assert tsne.draws_colours(None) is False

@@ -1,4 +1,4 @@
-"""The paper's figures and two of ours, one module each.
+"""The paper's figures and three of ours, one module each.
 
 A module of a figure has
 
@@ -7,7 +7,8 @@ A module of a figure has
 - ``points(**settings)``, its sweep: a list of dicts of plain values, from the settings in ``recipes/figures``;
 - ``evaluate(point)``, a pure function to rows, dicts of numbers, one or more a seed;
 - ``draw(records, path)``, the plot, from recorded results alone;
-- ``verdicts(records)``, what they say about the paper's claims, by the claim's name in :mod:`.claims`.
+- ``verdicts(records)``, what they say about the paper's claims, by the claim's name in :mod:`.claims`;
+- where it has one ``table(records)``, the same as Markdown, which is printed when it is drawn.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ FIGURES = (
     "devices_prediction",
     "bits",
     "schedulers",
+    "robustness",
 )
 
 

@@ -87,6 +87,8 @@ def redraw(module: ModuleType, folder: str | Path) -> int:
     path = Path(folder) / f"{name}.png"
     module.draw(records, path)
     print(f"{name}: {path}, from {len(records)} recorded points.")
+    if hasattr(module, "table"):
+        print(module.table(records))
     return len(records)
 
 

@@ -15,8 +15,9 @@ from tsjepa.evaluation import rollouts
 from tsjepa.evaluation.metrics import Run, normalized_score
 from tsjepa.evaluation.rollouts import Loop, Watch, every
 from tsjepa.models import Controller
-from tsjepa.plants import CartPole
+from tsjepa.plants import Appearance, CartPole
 from tsjepa.radio import IidLoss
+from tsjepa.support.description import build
 
 CURVE_STEP = 5  # slots between the recorded values of a curve
 SAMPLING_INTERVAL = 0.02  # s; that of every entry but the printed recipe's
@@ -32,8 +33,9 @@ def loop_rows(point: dict) -> list[dict]:
         point: ``model`` (an entry of the zoo, or None for the expert on the true state), ``sends`` ("state",
             "embedding", "stack" for all frames in one picture, "stream" for the newest frame alone, "video" for the
             same as H.264), ``codec``, ``quality`` (see :class:`Radio`), ``update_every`` (slots; 0 is once),
-            ``between`` ("predict", "hold" or "zero"), ``seeds``, ``starts``, ``slots``, ``process_noise_std``, and
-            where given ``loss``, the probability that an update is lost.
+            ``between`` ("predict", "hold" or "zero"; None predicts if it can), ``seeds``, ``starts``, ``slots``,
+            ``process_noise_std``, and where given ``loss``, the probability that an update is lost, and
+            ``appearance``, what is drawn of each start's looks.
 
     Returns:
         ``score`` (normalised by the plant's ``optimal_policy``), ``failed`` (share), ``cost`` (quadratic),
@@ -106,8 +108,9 @@ def expert_embeddings(point: dict, seed: int, every_slots: int = CURVE_STEP) -> 
 def loop_of(point: dict) -> Loop:
     """The closed loop of a point, see :func:`loop_rows`; every controller meets the same starts."""
     model = None if point["model"] is None else load(point["model"])
+    looks = appearance_of(point["appearance"]) if "appearance" in point else None
     loop = Loop(
-        plant_of(SAMPLING_INTERVAL if model is None else model.spec.slot, point["process_noise_std"]),
+        plant_of(SAMPLING_INTERVAL if model is None else model.spec.slot, point["process_noise_std"], looks),
         model or point["between"],
         num_devices=point["starts"],
         slots=point["slots"],
@@ -153,9 +156,20 @@ def load(model: str) -> Controller:
 
 
 @lru_cache(maxsize=8)
-def plant_of(sampling_interval: float, process_noise_std: float = 0.0) -> CartPole:
+def plant_of(
+    sampling_interval: float, process_noise_std: float = 0.0, appearance: Appearance | None = None
+) -> CartPole:
     """The paper's plant, kept with its camera for the next point."""
-    return CartPole(sampling_interval, process_noise_std)
+    return CartPole(sampling_interval, process_noise_std, appearance=appearance)
+
+
+def appearance_of(fields: dict) -> Appearance:
+    """The appearance of plain values.
+
+    Raises:
+        ValueError: there is no such field, or its value cannot be.
+    """
+    return build({"class_path": "tsjepa.plants.Appearance", "init_args": fields}, lambda kind: kind is Appearance)
 
 
 def thinned(curve: Tensor) -> list[float]:

@@ -34,7 +34,7 @@ def points(models: dict, seeds: int, trajectories: int, slots: int, every: int, 
     """One point a model.
 
     Args:
-        models: entry of the zoo by label.
+        models: entry of the zoo, or its folder, by label; the claims compare "TS-JEPA" and "autoencoder".
         seeds: sets of colour pairs and trajectories.
         trajectories, slots, every: how many, how long, and every which slot is embedded.
         pairs: of one state in two colours, a seed.
@@ -45,7 +45,10 @@ def points(models: dict, seeds: int, trajectories: int, slots: int, every: int, 
 
 
 def evaluate(point: dict) -> list[dict]:
-    """The two numbers, one row a seed; the first row carries the map: ``x``, ``y``, ``position``, ``angle``."""
+    """The two numbers, one row a seed, and whether the model was trained on drawn colours.
+
+    The first row carries the map: ``x``, ``y``, ``position``, ``angle``.
+    """
     from sklearn.manifold import TSNE
 
     model = load(point["model"])
@@ -58,6 +61,7 @@ def evaluate(point: dict) -> list[dict]:
                 "seed": seed,
                 "colour_distance": colour_distance(first, second),
                 "neighbour_error": neighbour_error(embedding, state, trajectory),
+                "drawn_colours": draws_colours(model.plant),
             }
         )
         if seed == 0:
@@ -99,6 +103,13 @@ def two_colours(model, pairs: int, seed: int) -> tuple[Tensor, Tensor]:
     return embedded[0], embedded[1]
 
 
+def draws_colours(plant: dict | None) -> bool:
+    """Whether the described plant, the one that a model was trained on, draws its colours."""
+    arguments = (plant or {}).get("init_args") or {}
+    appearance = arguments.get("appearance") or {"init_args": {}}
+    return bool(arguments.get("random_colors") or appearance["init_args"].get("colors"))
+
+
 def colour_distance(first: Tensor, second: Tensor) -> float:
     """Median distance of the pairs over the median distance between different states, in one colour or two."""
     different = torch.cdist(first, second)
@@ -138,15 +149,22 @@ def draw(records: list[dict], path: str | Path) -> None:
     plots.save(figure, path, "Do neighbours in the embedding see the same scene?")
 
 
+def which(row: dict) -> str:
+    """The model of a row, and where the row says so what it was trained on."""
+    trained = {None: "", True: ", trained on drawn colours", False: ", trained on one colour of each part"}
+    return f"`{row['model']}`{trained[row.get('drawn_colours')]}"
+
+
 def verdicts(records: list[dict]) -> dict[str, Verdict]:
-    """The two numbers, ours against the autoencoder's."""
+    """The two numbers, ours against the autoencoder's, and which models they are."""
     rows = flat(records)
     ours, theirs = plots.select(rows, label=OURS), plots.select(rows, label=AUTOENCODER)
     if not ours or not theirs:
         return {}
 
     def both(measure: str) -> str:
-        return f"TS-JEPA {plots.text(ours, measure)}, autoencoder {plots.text(theirs, measure)}"
+        figures = f"TS-JEPA {plots.text(ours, measure)}, autoencoder {plots.text(theirs, measure)}"
+        return f"{figures}; TS-JEPA is {which(ours[0])}, the autoencoder {which(theirs[0])}"
 
     colour = plots.mean(ours, "colour_distance"), plots.mean(theirs, "colour_distance")
     neighbours = plots.mean(ours, "neighbour_error"), plots.mean(theirs, "neighbour_error")
