@@ -11,6 +11,7 @@ ENTRIES = {
     "tsjepa-cartpole",
     *(f"tsjepa-cartpole-d{width}" for width in (16, 32, 64, 128)),
     "tsjepa-cartpole-paper",
+    "tsjepa-cartpole-appearance",
     "autoencoder-cartpole",
     "supervised-cartpole-k2",
     "supervised-cartpole-k4",
