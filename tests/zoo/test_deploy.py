@@ -54,13 +54,12 @@ MODELS = {
     "tiny with set-points": lambda: untrained(tiny_controller.tiny(set_points=1)),
     "tiny autoencoder": lambda: untrained(tiny_controller.tiny_autoencoder()),
     "shipped": lambda: with_ranges(entries.load(SHIPPED)),
+    "differences": lambda: with_ranges(entries.load("tsjepa-cartpole-d16")),
+    "differences of convolved frames": lambda: with_ranges(entries.load("tsjepa-cartpole-appearance")),
 }
 CASES = [
     pytest.param(("tiny", "torch_export"), id="tiny-torch_export"),
-    *(
-        pytest.param((name, "onnx"), id=f"{name}-onnx", marks=pytest.mark.slow)
-        for name in ("tiny", "tiny with set-points", "tiny autoencoder", "shipped")
-    ),
+    *(pytest.param((name, "onnx"), id=f"{name}-onnx", marks=pytest.mark.slow) for name in MODELS),
 ]
 
 

@@ -73,9 +73,8 @@ class DifferenceEncoder(PatchEncoder):
 
     def convolved(self, frames: Tensor) -> Tensor:
         """The same of convolved frames, whose map is not rounded before the differences are taken."""
-        count = len(frames)
         pictures = frames.flatten(0, 1).permute(0, 3, 1, 2).contiguous(memory_format=torch.channels_last)
         convolved = self.stages(self.stem(pictures)).permute(0, 2, 3, 1).flatten(1).float()
         with torch.autocast(frames.device.type, enabled=False):
-            features = self.describe(convolved).unflatten(0, (count, -1))
+            features = self.describe(convolved).unflatten(0, (-1, self.frame_stack))
         return torch.cat((features[:, -1:], features[:, -1:] - features[:, :-1]), dim=1)
