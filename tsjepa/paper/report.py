@@ -48,8 +48,9 @@ def report(output: str = "docs/results", results: str = RESULTS) -> dict[str, st
     Returns:
         The verdict on every claim, by its name.
     """
-    modules = {name: module_of(name) for name in FIGURES}
-    records = {name: store.read(results, name) for name in FIGURES}
+    claimed = [name for name in FIGURES if any(claim.figure == name for claim in CLAIMS.values())]
+    modules = {name: module_of(name) for name in claimed}
+    records = {name: store.read(results, name) for name in claimed}
     for module in modules.values():
         redraw(module, results)
     verdicts = judged(modules, records)
