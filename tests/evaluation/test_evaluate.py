@@ -98,7 +98,7 @@ def test_other_sets_of_starts_are_chosen_by_their_first_number(evaluation, model
     # the second of the usual sets is the first of these
     assert after[0] == before[1] and after[1] not in before
     entry = str(entries.save(entries.load(model), tmp_path / "entry", {"seeds": [7, 8, 9]}))
-    assert evaluate(entry, **{**options, "seeds": None, "starts_per_seed": 2, "slots": 3})["seeds"] == [7, 8, 9]
+    assert evaluate(entry, **options | {"seeds": None})["seeds"] == [7, 8, 9]
     with pytest.raises(ValueError, match="first_seed"):
         evaluate(model, first_seed=-1, **options)
 
