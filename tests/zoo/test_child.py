@@ -111,5 +111,5 @@ def test_a_fit_whose_parent_was_ended_ends_and_is_continued_to_the_same_weights(
     HOME.rename("continued")
     assert cli.main(words) == 0
     undisturbed = entries.load(HOME / "seed0/jepa/model").state_dict()
-    assert continued.keys() == undisturbed.keys()
-    assert all(torch.equal(continued[key], undisturbed[key]) for key in continued)
+    # the ranges of a codec, which the actor's fit finds, are not numbers yet
+    torch.testing.assert_close(continued, undisturbed, rtol=0, atol=0, equal_nan=True)
