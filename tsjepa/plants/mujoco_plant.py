@@ -134,7 +134,7 @@ class MujocoPlant(Plant):
             scene[:, nq : nq + parts].reshape(len(scene), -1, 3),
             scene[:, nq + parts :],
         )
-        if not looks.size:
+        if self.appearance is None or not looks.size:
             return self.renderer.render(qpos, colors)
         height, width = self.spec.frame
         frames = np.empty((len(scene), height, width, 3), np.uint8)

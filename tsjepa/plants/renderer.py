@@ -211,7 +211,8 @@ class Renderer:
             for light in self._scene.lights[: self._scene.nlight]
             if light.headlight
         ]
-        self._own_geoms, self._around, self._backgrounds = self._scene.ngeom, PLAIN, {}
+        self._own_geoms, self._around = self._scene.ngeom, PLAIN
+        self._backgrounds: dict[Surroundings, np.ndarray] = {}
         centre = (self.model.stat.center - self._lens.position) @ self._lens.axes[2]
         self._depth = centre + self.model.stat.extent  # behind the whole model
 
@@ -220,8 +221,9 @@ class Renderer:
         if around != self._around:
             for light, ambient, diffuse in self._lights:
                 light.ambient, light.diffuse = around.light * ambient, around.light * diffuse
-            for number, (*where, red, green, blue) in enumerate(around.distractors, self._own_geoms):
-                size, position, axes = self._lens.box(*where, self._depth)
+            for number, distractor in enumerate(around.distractors, self._own_geoms):
+                right, up, wide, high, angle, red, green, blue = distractor
+                size, position, axes = self._lens.box(right, up, wide, high, angle, self._depth)
                 rgba = np.array((red, green, blue, 1.0), np.float32)
                 mujoco.mjv_initGeom(self._scene.geoms[number], mujoco.mjtGeom.mjGEOM_BOX, size, position, axes, rgba)
             self._scene.ngeom = self._own_geoms + len(around.distractors)
