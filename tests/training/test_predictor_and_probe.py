@@ -8,7 +8,7 @@ from torch.nn import functional as F
 from tsjepa.models import Predictor, StateProbe
 from tsjepa.training.actor import imitation_pairs
 from tsjepa.training.finish.probe import fit_probe
-from tsjepa.training.finish.refine import refine_predictor
+from tsjepa.training.finish.refine import RefinePredictor, refine_predictor
 from tsjepa.training.monitor import prediction_skill
 
 D = 16
@@ -71,6 +71,20 @@ def test_a_share_of_the_rollouts_is_taken_from_the_starts(embedded):
 def test_refining_over_more_slots_than_there_are_is_refused(embedded):
     with pytest.raises(ValueError, match="30 slots does not fit into trajectories of 30"):
         refine_predictor(Predictor(D, 8), embedded, steps=1, horizon=30, batch_size=1, learning_rate=1e-3, seed=0)
+
+
+def test_a_horizon_that_does_not_fit_is_refused_before_the_fit():
+    def begins(horizon, starts):
+        slots = {"train": 31, "starts": 14}
+        data = SimpleNamespace(splits=("train",), first_slot=1, split=lambda name: torch.empty(4, slots[name]))
+        RefinePredictor(horizon=horizon, starts=starts).on_fit_start(SimpleNamespace(datamodule=data), None)
+
+    begins(29, None)
+    begins(12, "starts")
+    with pytest.raises(ValueError, match="30 slots does not fit into trajectories of 30"):
+        begins(30, None)
+    with pytest.raises(ValueError, match="13 slots does not fit into trajectories of 13"):
+        begins(13, "starts")
 
 
 def test_imitation_pairs_are_those_of_a_naive_double_loop(embedded):

@@ -47,10 +47,8 @@ def refine_predictor(
         forward_context: the precision of the roll-outs.
     """
     for part in (embedded, starts):
-        if part is not None and horizon >= part.shape[1]:
-            raise ValueError(
-                f"A horizon of {horizon} slots does not fit into trajectories of {part.shape[1]}; take a shorter one."
-            )
+        if part is not None:
+            check_horizon(horizon, part.shape[1])
     generator = torch.Generator().manual_seed(seed)
 
     def loss() -> Tensor:
@@ -65,6 +63,12 @@ def refine_predictor(
         return cosine_loss(predicted, embedding[:, 1:])
 
     minimize(loss, predictor.parameters(), steps, learning_rate, 1e-4, "refine predictor")
+
+
+def check_horizon(horizon: int, slots: int) -> None:
+    """ValueError unless roll-outs over ``horizon`` slots fit into trajectories of ``slots`` embeddings."""
+    if horizon >= slots:
+        raise ValueError(f"A horizon of {horizon} slots does not fit into trajectories of {slots}; take a shorter one.")
 
 
 def draw(
@@ -103,8 +107,9 @@ class RefinePredictor(Finish):
         self.learning_rate, self.start_share, self.starts = learning_rate, start_share, starts
 
     def on_fit_start(self, trainer: lightning.Trainer, module: lightning.LightningModule) -> None:
-        if self.starts is not None:
-            trainer.datamodule.split(self.starts)  # what is wrong with it is told before the fit
+        data = trainer.datamodule  # what is wrong with its trajectories is told before the fit
+        for name in (*data.splits, *([self.starts] if self.starts else [])):
+            check_horizon(self.horizon, data.split(name).shape[1] - data.first_slot)
 
     def finish(self, trainer: lightning.Trainer, module: lightning.LightningModule) -> None:
         data = trainer.datamodule
