@@ -43,6 +43,19 @@ def test_the_commands_of_an_entry_follow_from_each_other(name):
         assert all((tiny.ROOT / recipe).is_file() for recipe in named)
 
 
+def encoders(recipe: dict) -> list[dict]:
+    return (
+        [recipe["model"]["init_args"]["encoder"]] if "encoder" in recipe.get("model", {}).get("init_args", {}) else []
+    )
+
+
+@pytest.mark.parametrize("name", [name for name in tiny.NAMES if name.endswith("jepa.yaml") or "zoo/" in name])
+def test_a_recipe_over_another_says_whether_its_encoder_has_convolutions(name):
+    # a class that is named anew takes the arguments along that it knows, here the widths of the recipe beneath
+    for encoder in encoders(tiny.load(name)):
+        assert not encoder["class_path"].endswith("DifferenceEncoder") or "widths" in encoder["init_args"]
+
+
 def test_an_entry_or_a_number_of_seeds_that_cannot_be_is_named(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(ValueError, match="no recipe for 'absent': choose one of tsjepa-cartpole"):
@@ -152,7 +165,7 @@ def test_one_command_makes_an_entry_with_its_card(tmp_path, monkeypatch, capfd):
     assert cli.main(["zoo", "train", NAME, "--seeds", "2"]) == 0
     folder = Path(f"runs/zoo/{NAME}/entry/{NAME}")
     model = tsjepa.load(str(folder))
-    assert model.embedding_dim == 16
+    assert model.embedding_dim == 16 and model.encoder.widths is None  # the recipe beneath has widths
     assert f"Made by `tsjepa zoo train {NAME} --seeds 2`" in (folder / "README.md").read_text()
     figures = json.loads((folder / "metrics.json").read_text())
     assert figures["seeds"] == [0, 1] and figures["training_seeds"]["start_seeds"] == [1000, 1001]
