@@ -18,6 +18,7 @@ from tsjepa.zoo.training_seeds import over_seeds, validation_error
 
 FOLDER = "runs/zoo"
 SEEDS_FILE = "training_seeds.json"
+COLLECTED = " with collecting the data"
 
 
 def train(name: str, seeds: int = 1) -> Path:
@@ -75,17 +76,18 @@ def fitted(made: Made, home: str, seed: int) -> Journal:
     journal = Journal(Path(home) / "steps.journal", steps)
     for step, words in steps.items():
         begun = (Path(home) / step / "checkpoints" / "last.ckpt").is_file()
-        do(journal, step, [*words, "--ckpt_path", "last"] if begun else words)
+        collects = not Path(made.data).is_dir()
+        do(journal, step, [*words, "--ckpt_path", "last"] if begun else words, collects)
     return journal
 
 
-def do(journal: Journal, step: str, words: list[str]) -> None:
-    """Runs the command of a step that is not done yet."""
+def do(journal: Journal, step: str, words: list[str], collects: bool = False) -> None:
+    """Runs the command of a step that is not done yet; ``collects`` says that it collects its data first."""
     if step in journal.done:
         where = journal.path.parent.as_posix()
         print(f"{where}, {step}: done before, in {journal.done[step]['seconds']:.0f} s.", flush=True)
     else:
-        journal.add(step, {"seconds": run(words), "machine": machine()})
+        journal.add(step, {"seconds": run(words), "machine": machine(), "collects": collects})
 
 
 def shipped(made: Made, homes: list[str], journal: Journal) -> int:
@@ -119,19 +121,19 @@ def told(journals: list[Journal], name: str, seeds: int) -> str:
         name, seeds: as in :func:`train`.
     """
     *of_seeds, last = [
-        ", ".join(f"{step} {done['seconds']:.0f} s" for step, done in timed(journal) if step != "export")
+        ", ".join(f"{step} {done['seconds']:.0f} s{COLLECTED * done['collects']}" for step, done in timed(journal))
         for journal in journals
     ]
     times = of_seeds if seeds == 1 else [f"seed {seed}: {each}" for seed, each in enumerate(of_seeds)]
     on = {json.dumps(done["machine"]): done["machine"] for journal in journals for _, done in timed(journal)}
     where = "; ".join(f"{each['cores']} cores of {each['processor']}" for each in on.values())
     again = f"tsjepa zoo train {name}{f' --seeds {seeds}' if seeds > 1 else ''}"
-    return f"Made by `{again}`, data included: {'; '.join([*times, last])}, on {where}."
+    return f"Made by `{again}`: {'; '.join([*times, last])}, on {where}."
 
 
 def timed(journal: Journal) -> list[tuple[str, dict]]:
-    """The commands of a journal, with how long they took and where."""
-    return [(step, done) for step, done in journal.done.items() if step != "validation"]
+    """The commands of a journal that make and evaluate, with how long they took and where."""
+    return [(step, done) for step, done in journal.done.items() if step not in ("validation", "export")]
 
 
 def installing(entry: Path) -> list[str]:
