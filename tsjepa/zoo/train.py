@@ -121,7 +121,9 @@ def told(journals: list[Journal], name: str, seeds: int) -> str:
         name, seeds: as in :func:`train`.
     """
     *of_seeds, last = [
-        ", ".join(f"{step} {done['seconds']:.0f} s{COLLECTED * done['collects']}" for step, done in timed(journal))
+        ", ".join(
+            f"{step} {done['seconds']:.0f} s{COLLECTED * done.get('collects', False)}" for step, done in timed(journal)
+        )
         for journal in journals
     ]
     times = of_seeds if seeds == 1 else [f"seed {seed}: {each}" for seed, each in enumerate(of_seeds)]
