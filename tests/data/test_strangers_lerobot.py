@@ -7,9 +7,10 @@ import cv2
 import numpy as np
 import pytest
 import recordings as make
+from reading import read_all
 
 from tsjepa.data.importer import import_recording
-from tsjepa.data.readers import Skipped, Streams, open_recording
+from tsjepa.data.readers import Skipped, open_recording
 from tsjepa.data.storage import open_split
 
 pa, pq = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
@@ -151,16 +152,8 @@ def test_the_camera_that_has_the_most_episodes_is_taken(v2):
     assert "observation.images.front is taken" in recording.notes[-1] or any(
         "front is taken" in note for note in recording.notes
     )
-    _, (episode,), skipped = read(v2, camera="aside")
+    _, (episode,), skipped = read_all(v2, camera="aside")
     assert episode.name == "episode 1" and len(skipped) == 2
-
-
-def read(path, **streams):
-    recording = open_recording(path, Streams(**streams))
-    items = list(recording.episodes())
-    return recording, [item for item in items if not isinstance(item, Skipped)], [
-        item for item in items if isinstance(item, Skipped)
-    ]  # fmt: skip
 
 
 def test_other_chunks_are_found(v2):

@@ -128,7 +128,7 @@ def told(journals: list[Journal], name: str, seeds: int) -> str:
     ]
     times = of_seeds if seeds == 1 else [f"seed {seed}: {each}" for seed, each in enumerate(of_seeds)]
     on = {json.dumps(done["machine"]): done["machine"] for journal in journals for _, done in timed(journal)}
-    where = "; ".join(f"{each['cores']} cores of {each['processor']}" for each in on.values())
+    where = "; ".join(f"{each['cores']} cores of {each['processor']} ({each['flags']})" for each in on.values())
     again = f"tsjepa zoo train {name}{f' --seeds {seeds}' if seeds > 1 else ''}"
     return f"Made by `{again}`: {'; '.join([*times, last])}, on {where}."
 
