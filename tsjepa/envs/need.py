@@ -15,6 +15,7 @@ from tsjepa.envs.transforms import (
     Estimator,
     ExpectedGain,
     HierarchicalEstimator,
+    Observe,
     Scheduler,
     Twin,
     Urgency,
@@ -64,8 +65,8 @@ def watched(
     twin = twin_of(chain[-1], plant, controller)
     if scheduler == EXPECTED:
         return [*chain[:place], ExpectedGain(twin, received), *chain[place:]]
-    sees = [part for part in chain[place:] if isinstance(part, Camera) or _encodes_pixels(part)]
-    if sees and not isinstance(sees[-1], Encode):
+    sees = [part for part in chain if isinstance(part, (Camera, Observe)) or _encodes_pixels(part)]
+    if sees and isinstance(sees[-1], Camera):
         raise ValueError(
             f"The scheduler {scheduler!r} compares embeddings, which a device that sends frames (codec "
             f"{radio.codec!r}) does not make: choose a codec of embeddings."
@@ -74,8 +75,8 @@ def watched(
     requests = Requests() if radio.requests is None else radio.requests
     code, delay = (None, 0) if scheduler == TRUE else (requests.code(), requests.delay)
     says = Urgency(twin, key, code, delay, first_contact=scheduler == FIRST)
-    rest = [part for part in chain[place:] if part not in sees]
-    return [*chain[:place], *sees, says, *rest]
+    links, rest = ([part for part in half if part not in sees] for half in (chain[:place], chain[place:]))
+    return [*links, *sees, says, *rest]
 
 
 def twin_of(far_end: nn.Module, plant: Plant, controller: str | Controller) -> Twin:

@@ -19,12 +19,14 @@ from tsjepa.envs.transforms import (
     Delay,
     Encode,
     Energy,
+    Observe,
     Scheduler,
     TraceChannel,
     Uplink,
 )
 from tsjepa.envs.transforms.delay import ACKNOWLEDGED
 from tsjepa.envs.transforms.uplink import AT_BASE_STATION, AT_CONTROLLER
+from tsjepa.envs.weights import at_weights
 from tsjepa.models import Controller
 from tsjepa.plants.plant import Plant
 from tsjepa.radio.links import McsLink
@@ -54,17 +56,18 @@ def radio_end(
         seed=seed,
     )
     arrival = [uplink, *after_uplink(plant, num_devices, radio, seed)]
-    chain = [
-        *channel(plant.spec.slot, num_devices, radio, seed),
-        schedule(plant, num_devices, scheduler, radio, model, codec, seed),
-    ]
+    links = channel(plant.spec.slot, num_devices, radio, seed)
+    decides = schedule(plant, num_devices, scheduler, radio, model, codec, seed)
     if model is None:
-        return [*chain, Codec(codec, in_key="state"), *arrival]
+        return [*links, decides, Codec(codec, in_key="state"), *arrival]
     camera = Camera(plant.render, plant.spec.frame, model.frame_stack, model.frame_spacing)
     if sends_frames(radio.codec):
         remote = Encode(model.encoder, model.embedding_dim, in_key="received", mask_key="delivered")
-        return [*chain, camera, Codec(codec, in_key="pixels"), *arrival, remote]
-    return [*chain, camera, Encode(model.encoder, model.embedding_dim), Codec(codec), *arrival]
+        return [*links, decides, camera, Codec(codec, in_key="pixels"), *arrival, remote]
+    sees = [camera, Encode(model.encoder, model.embedding_dim)]
+    if getattr(model, "observer", None) is not None:
+        return [*links, *sees, Observe(at_weights(model, model.correct)), decides, Codec(codec), *arrival]
+    return [*links, decides, *sees, Codec(codec), *arrival]
 
 
 def channel(slot: float, num_devices: int, radio: Radio, seed: int) -> list[nn.Module]:

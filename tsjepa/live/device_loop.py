@@ -65,6 +65,8 @@ class Device:
         self.late = 0
         self.counts = dict.fromkeys(("sent", "lost", "commands", "safe", "held"), 0)
         self.record, self.seen = record, np.empty(0)
+        self.belief = np.zeros((len(numbers), graphs.belief_dim), np.float32)  # of a device that remembers
+        self.applied = np.repeat(self.safe[None], len(numbers), 0)
         self.radio = {number: [False, False] for number in numbers}  # sent, and not lost on purpose, in this slot
         self.port = Port(self.hear, connect=controller)
 
@@ -94,20 +96,30 @@ class Device:
             self.end_slot()
 
     def begin_slot(self) -> None:
-        """Looks, encodes and sends, where this is a slot of an update."""
+        """Looks, encodes and sends, where this is a slot of an update; a device that remembers encodes in every one."""
         if self.machine.at_once:
             self.apply()
         with self.stages["capture"].timed():
             frames = self.machine.look()
         self.seen, self.radio = frames, {number: [False, False] for number in self.links}
-        if (self.slot - self.first) % self.period:
+        updates = (self.slot - self.first) % self.period == 0
+        if not updates and not self.belief.size:
             return
         with self.stages["encode"].timed():
-            payloads = self.graphs.encode(frames)
+            payloads = self.encode(frames)
+        if not updates:
+            return
         for row, number in enumerate(self.links):
             with self.stages["send"].timed():
                 self.send(number, payloads[row].tobytes())
         self.late += time.monotonic() > self.metronome.begins(self.slot + 1)
+
+    def encode(self, frames: np.ndarray) -> np.ndarray:
+        """Payloads uint8 [n, bytes]; a device that remembers makes its belief of this slot."""
+        if not self.belief.size:
+            return self.graphs.encode(frames)
+        payloads, self.belief = self.graphs.observe(frames, self.belief, self.applied)
+        return payloads
 
     def send(self, number: int, payload: bytes) -> None:
         """Sends an update, as the weather lets it."""
@@ -165,7 +177,8 @@ class Device:
     def apply(self) -> bool:
         """Has the machine do what is in force; returns whether a new episode begins."""
         with self.stages["apply"].timed():
-            return self.machine.act(self.commands())
+            self.applied = self.commands()
+            return self.machine.act(self.applied)
 
     def commands(self) -> np.ndarray:
         """What is in force [n, m]."""
@@ -184,6 +197,7 @@ class Device:
         self.slot += 1
         if begins:
             self.first = self.slot
+            self.belief = np.zeros_like(self.belief)
             for plans in self.plans.values():
                 plans.clear()
 

@@ -64,6 +64,16 @@ class Graphs:
         """Whether there is a graph that predicts."""
         return "predict" in self._run
 
+    @property
+    def belief_dim(self) -> int:
+        """d of what the device remembers; 0 of one that sends what it sees."""
+        inputs = {given.name: given for given in self._run["device"].get_inputs()}
+        return inputs["belief"].shape[1] if "belief" in inputs else 0
+
+    def observe(self, frames: np.ndarray, belief: np.ndarray, command: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Payloads uint8 [n, bytes] and beliefs [n, d] of this slot's stacks and of the slot before; zeros are none."""
+        return tuple(self._run["device"].run(None, {"frames": frames, "belief": belief, "command": command}))
+
     def encode(self, frames: np.ndarray) -> np.ndarray:
         """Payloads uint8 [n, bytes] of stacks uint8 [n, frame_stack, H, W, 3]."""
         return self._run["device"].run(None, {"frames": frames})[0]

@@ -24,6 +24,7 @@ class SemanticController(Controller):
             command between updates (the supervised baseline).
         probe: from an embedding to the state; None where the data have no states.
         decoder: from an embedding to frames; None for none.
+        observer: on the device, from what was predicted and an embedding to what it sends; None sends the embedding.
     """
 
     optional: ClassVar[tuple[str, ...]] = ("decoder.", "code_")
@@ -37,9 +38,11 @@ class SemanticController(Controller):
         predictor: nn.Module | None = None,
         probe: nn.Module | None = None,
         decoder: nn.Module | None = None,
+        observer: nn.Module | None = None,
     ) -> None:
         super().__init__(encoder, frame_spacing, spec)
         self.predictor, self.actor, self.probe, self.decoder = predictor, actor, probe, decoder
+        self.observer = observer
 
     @property
     def kind(self) -> str:
@@ -60,6 +63,21 @@ class SemanticController(Controller):
         if self.predictor is None:
             raise ValueError("This controller has no predictor (has_predictor is False); hold the last command.")
         return self.predictor(embedding, command)
+
+    def correct(self, belief: Tensor, command: Tensor, embedding: Tensor) -> Tensor:
+        """What the device believes [..., d] of this slot.
+
+        Args:
+            belief: [..., d], of the slot before.
+            command: [..., m], applied since.
+            embedding: [..., d], of this slot's frames.
+
+        Raises:
+            ValueError: this controller has no observer.
+        """
+        if self.observer is None:
+            raise ValueError("This controller has no observer: send its embeddings as they are, or fit one to it.")
+        return self.observer(self.predict(belief, command), embedding)
 
     def act(self, embedding: Tensor, reference: Tensor | None = None) -> Tensor:
         """Command [..., m] for ``embedding`` [..., d] and set-points [..., r]."""

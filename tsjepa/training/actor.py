@@ -81,6 +81,7 @@ class SemanticActor(lightning.LightningModule):
         self.model = new_controller(
             frozen.encoder, frozen.predictor, metadata, frozen.frame_spacing, hidden_dims, dropout, set_points
         )
+        self.model.observer = getattr(frozen, "observer", None)
         train_only(self.model, self.model.actor)
         self.set_points = set_points
 

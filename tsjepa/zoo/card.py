@@ -36,6 +36,9 @@ KINDS = {
         "between updates the last command is held.",
     ),
 }
+OBSERVES = (
+    " The device remembers: what it sends is the predictor's step from its last belief, corrected by what it sees."
+)
 USE = (
     "Predictive control over a radio, comparison with other encoders, and a start for fits of one's own (`pretrained: "
     "{name}` in a recipe)."
@@ -62,7 +65,8 @@ def card(name: str, model: Controller, metrics: dict) -> str:
     plant = metrics.get("plant")
     sections = [
         FRONT_MATTER.format(tag=tag, machine=machine) + f"# {name}",
-        what.format(machine=f"the {machine}", interval=1000 * spec.slot, dim=model.embedding_dim),
+        what.format(machine=f"the {machine}", interval=1000 * spec.slot, dim=model.embedding_dim)
+        + OBSERVES * (getattr(model, "observer", None) is not None),
         usage(name, model),
         *figures(metrics),
         *open_loop(metrics),
@@ -97,6 +101,7 @@ def settings(plant: dict) -> str:
 
 def usage(name: str, model: Controller) -> str:
     """How to load and call it."""
+    observes = getattr(model, "observer", None) is not None
     spec, set_points = model.spec, getattr(getattr(model, "actor", None), "reference_low", ())
     reference = numbers("reference", "r", spec.reference_names, spec.reference_units)
     lines = [
@@ -108,6 +113,7 @@ def usage(name: str, model: Controller) -> str:
         f"u = model.act(z{', reference' if set_points else ''})  "
         f"# {numbers('', 'm', spec.action_names, spec.action_units)}{f'; {reference}' if set_points else ''}",
         *(["z_next = model.predict(z, u)"] if model.has_predictor else []),
+        *(["z = model.correct(z, u, model.encode(next_frames))"] if observes else []),
         "```",
     ]
     return "\n".join(lines)

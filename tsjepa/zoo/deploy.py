@@ -38,6 +38,21 @@ class Device(nn.Module):
         return self.codec.encode(self.encoder(frames))
 
 
+class ObservingDevice(nn.Module):
+    """A device that remembers: frames, and the belief [N, d] and command [N, m] of the slot before, to payload and
+    belief. A belief of zeros is none yet."""
+
+    def __init__(self, encoder: nn.Module, codec: nn.Module, predictor: nn.Module, observer: nn.Module) -> None:
+        super().__init__()
+        self.encoder, self.codec, self.predictor, self.observer = encoder, codec, predictor, observer
+
+    def forward(self, frames: Tensor, belief: Tensor, command: Tensor) -> tuple[Tensor, Tensor]:
+        embedding = self.encoder(frames)
+        corrected = self.observer(self.predictor(belief, command), embedding)
+        belief = torch.where((belief == 0).all(-1, keepdim=True), embedding, corrected)
+        return self.codec.encode(belief), belief
+
+
 class Receive(nn.Module):
     """A slot with an update: payload uint8 [N, bytes] and set-points [N, r] to embedding [N, d] and command [N, m]."""
 
@@ -84,7 +99,8 @@ class Graph(NamedTuple):
 def graphs(model: Controller) -> dict[str, Graph]:
     """What a deployment consists of: ``device``, ``receive`` and, where the model has a predictor, ``predict``.
 
-    Each holds only the parts that it needs. Where the actor takes set-points they are an input of the last two.
+    Each holds only the parts that it needs; the device of a model with an observer has the predictor too. Where the
+    actor takes set-points they are an input of the last two.
 
     Raises:
         ValueError: the model came without the ranges of its integer codec.
@@ -98,8 +114,13 @@ def graphs(model: Controller) -> dict[str, Graph]:
     embedding, command = torch.zeros(ROWS, model.embedding_dim), torch.zeros(ROWS, model.spec.action_dim)
     reference = {"reference": torch.zeros(ROWS, set_points)} if set_points else {}
     payload = {"payload": codec.encode(embedding)}
+    device = Graph(Device(model.encoder, codec), {"frames": frames}, ("payload",))
+    if getattr(model, "observer", None) is not None:
+        watches = ObservingDevice(model.encoder, codec, model.predictor, model.observer)
+        inputs = {"frames": frames, "belief": embedding, "command": command}
+        device = Graph(watches, inputs, ("payload", "next_belief"))
     made = {
-        "device": Graph(Device(model.encoder, codec), {"frames": frames}, ("payload",)),
+        "device": device,
         "receive": Graph(Receive(codec, act), payload | reference, ("embedding", "command")),
     }
     if model.has_predictor:
@@ -139,7 +160,8 @@ def deploy(model: str, folder: str, format: Literal["onnx", "torch_export"] = "o
     """Writes ``model`` to ``folder`` as graphs, with int8 embeddings between device and controller.
 
     ``device`` turns frames into a payload, ``receive`` a payload into an embedding and a command, and ``predict`` the
-    embedding and the command of one slot into those of the next. Each takes any number of rows; ``deployment.json``
+    embedding and the command of one slot into those of the next. With an observer, ``device`` also takes the belief
+    and the command of the slot before and gives the next belief. Each takes any number of rows; ``deployment.json``
     says what else a user has to know.
 
     Args:

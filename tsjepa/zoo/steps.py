@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 # The first of the sets of starts that training seeds are compared on: recipes were chosen on those from 0 on.
 FRESH = 1000
@@ -20,11 +21,12 @@ LARGE_DATA = (
 
 @dataclass(frozen=True)
 class Fit:
-    """One fit: a base recipe below ``recipes``, what lies over it, and options."""
+    """One fit: a base recipe below ``recipes``, what lies over it, options, and its data set if not the entry's."""
 
     recipe: str
     over: tuple[str, ...] = ()
     options: tuple[str, ...] = ()
+    data: str | None = None
 
 
 @dataclass(frozen=True)
@@ -33,6 +35,7 @@ class Made:
 
     Args:
         fits: in their order; each but the first starts from the model of the one before.
+        after: entry from whose model, of the same training seed, the first fit starts; it is made first.
         data: set whose test split gives the card's command error.
         evaluation: further options of ``tsjepa evaluate``.
         over: recipes over ``recipes/evaluate.yaml``.
@@ -42,6 +45,7 @@ class Made:
     data: str = LARGE
     evaluation: tuple[str, ...] = ("--frame_history", "4", "--periods", "[1, 2, 5, 10, 20, 0]")
     over: tuple[str, ...] = ()
+    after: str | None = None
 
 
 def of_width(dim: int) -> Made:
@@ -58,6 +62,11 @@ def of_plant(plant: str) -> Made:
     return Made(fits, f"data/{plant}", (), (f"{over}/evaluate",))
 
 
+def observed(entry: str) -> Made:
+    """An entry for the cart-pole with an observer on the device."""
+    return Made((Fit("observer", data="data/cartpole-noise"),), after=entry)
+
+
 SUPERVISED = (*LARGE_DATA, "--trainer.max_epochs", "9", "--model.init_args.learning_rate", "2e-3")
 PAPER_20_MS = ("--data.init_args.path", "data/paper-20ms", "--data.init_args.collect", "recipes/zoo/paper-data.yaml")
 ENTRIES: dict[str, Made] = {
@@ -66,6 +75,8 @@ ENTRIES: dict[str, Made] = {
     "tsjepa-cartpole-d64": of_width(64),
     "tsjepa-cartpole-d32": of_width(32),
     "tsjepa-cartpole-d16": Made((Fit("jepa", ("zoo/jepa", "zoo/d16")), Fit("actor", ("zoo/actor",)))),
+    "tsjepa-cartpole-observer": observed("tsjepa-cartpole"),
+    "tsjepa-cartpole-d16-observer": observed("tsjepa-cartpole-d16"),
     "supervised-cartpole-k2": Made((Fit("supervised", (), SUPERVISED),)),
     "supervised-cartpole-k4": Made((Fit("supervised", ("supervised-k4",), SUPERVISED),)),
     "autoencoder-cartpole": Made((Fit("autoencoder", (), LARGE_DATA),)),
@@ -87,11 +98,19 @@ ENTRIES: dict[str, Made] = {
 def fits(made: Made, home: str, seed: int) -> dict[str, list[str]]:
     """The words of each fit's command after ``tsjepa``, by its recipe, with all that it leaves below ``home``."""
     steps: dict[str, list[str]] = {}
-    for fit, before in zip(made.fits, (None, *made.fits), strict=False):
-        start = [] if before is None else ["--model.init_args.pretrained", f"{home}/{before.recipe}/model"]
+    runs = [f"{home}/{fit.recipe}" for fit in made.fits]
+    first = None if made.after is None else run_of(ENTRIES[made.after], before(made, home))
+    for fit, previous in zip(made.fits, (first, *runs), strict=False):
+        start = [] if previous is None else ["--model.init_args.pretrained", f"{previous}/model"]
         steps[fit.recipe] = ["fit", *recipes((fit.recipe, *fit.over)), *fit.options, *start]
         steps[fit.recipe] += ["--trainer.default_root_dir", f"{home}/{fit.recipe}", "--seed_everything", str(seed)]
     return steps
+
+
+def before(made: Made, home: str) -> str:
+    """Where the entry ``made.after`` lies for the training seed in ``home``."""
+    folder = Path(home)
+    return (folder.parent.parent / str(made.after) / folder.name).as_posix()
 
 
 def run_of(made: Made, home: str) -> str:

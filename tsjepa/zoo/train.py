@@ -13,7 +13,7 @@ from tsjepa.support.journal import Journal
 from tsjepa.support.provenance import machine
 from tsjepa.zoo.child import run
 from tsjepa.zoo.figures import listed
-from tsjepa.zoo.steps import ENTRIES, FRESH, VALIDATION, Made, evaluation, fits, run_of
+from tsjepa.zoo.steps import ENTRIES, FRESH, VALIDATION, Made, before, evaluation, fits, run_of
 from tsjepa.zoo.training_seeds import over_seeds, validation_error
 
 FOLDER = "runs/zoo"
@@ -49,7 +49,7 @@ def train(name: str, seeds: int = 1) -> Path:
     home.mkdir(parents=True, exist_ok=True)
     with exclusive(home):
         homes = [f"{home.as_posix()}/seed{seed}" for seed in range(seeds)]
-        journals = [fitted(made, of_seed, seed) for seed, of_seed in enumerate(homes)]
+        times = [fitted(made, of_seed, seed) for seed, of_seed in enumerate(homes)]
         models = [entries.fingerprint(f"{run_of(made, each)}/model") for each in homes]
         journal = Journal(home / "steps.journal", models)
         best = shipped(made, homes, journal)
@@ -59,7 +59,7 @@ def train(name: str, seeds: int = 1) -> Path:
             together = compare(made, homes, journal, best)
             write_json(home / SEEDS_FILE, together)
             options += ["--training_seeds", f"{home.as_posix()}/{SEEDS_FILE}"]
-        said = told([*journals, journal], name, seeds)
+        said = told([*times, journal.done], name, seeds)
         options += ["--folder", f"{home.as_posix()}/entry", "--trained_with", said]
         do(journal, "export", ["export", run_of(made, homes[best]), name, *options])
     entry = home / "entry" / name
@@ -69,16 +69,23 @@ def train(name: str, seeds: int = 1) -> Path:
     return entry
 
 
-def fitted(made: Made, home: str, seed: int) -> Journal:
-    """All fits of a training seed, those that are done before left out."""
-    Path(home).mkdir(exist_ok=True)
+def fitted(made: Made, home: str, seed: int) -> dict[str, dict]:
+    """All fits of a training seed, those that are done before left out; how long each took, and where."""
+    folder = Path(home)
+    folder.mkdir(parents=True, exist_ok=True)
+    earlier = {}
+    if made.after is not None:
+        base = before(made, home)
+        Path(base).parent.mkdir(parents=True, exist_ok=True)
+        with exclusive(Path(base).parent):
+            earlier = fitted(ENTRIES[made.after], base, seed)
     steps = fits(made, home, seed)
-    journal = Journal(Path(home) / "steps.journal", steps)
-    for step, words in steps.items():
-        begun = (Path(home) / step / "checkpoints" / "last.ckpt").is_file()
-        collects = not Path(made.data).is_dir()
+    journal = Journal(folder / "steps.journal", steps)
+    for fit, (step, words) in zip(made.fits, steps.items(), strict=True):
+        begun = (folder / step / "checkpoints" / "last.ckpt").is_file()
+        collects = not Path(fit.data or made.data).is_dir()
         do(journal, step, [*words, "--ckpt_path", "last"] if begun else words, collects)
-    return journal
+    return earlier | journal.done
 
 
 def do(journal: Journal, step: str, words: list[str], collects: bool = False) -> None:
@@ -113,29 +120,29 @@ def compare(made: Made, homes: list[str], journal: Journal, best: int) -> dict:
     return over_seeds(evaluations, journal.done["validation"], best, made.data, VALIDATION)
 
 
-def told(journals: list[Journal], name: str, seeds: int) -> str:
+def told(times: list[dict[str, dict]], name: str, seeds: int) -> str:
     """A sentence on how the entry was made, for its card.
 
     Args:
-        journals: of each training seed, and of what follows.
+        times: what is done of each training seed, and of what follows.
         name, seeds: as in :func:`train`.
     """
     *of_seeds, last = [
         ", ".join(
-            f"{step} {done['seconds']:.0f} s{COLLECTED * done.get('collects', False)}" for step, done in timed(journal)
+            f"{step} {done['seconds']:.0f} s{COLLECTED * done.get('collects', False)}" for step, done in timed(each)
         )
-        for journal in journals
+        for each in times
     ]
-    times = of_seeds if seeds == 1 else [f"seed {seed}: {each}" for seed, each in enumerate(of_seeds)]
-    on = {json.dumps(done["machine"]): done["machine"] for journal in journals for _, done in timed(journal)}
+    named = of_seeds if seeds == 1 else [f"seed {seed}: {each}" for seed, each in enumerate(of_seeds)]
+    on = {json.dumps(done["machine"]): done["machine"] for each in times for _, done in timed(each)}
     where = "; ".join(f"{each['cores']} cores of {each['processor']} ({each['flags']})" for each in on.values())
     again = f"tsjepa zoo train {name}{f' --seeds {seeds}' if seeds > 1 else ''}"
-    return f"Made by `{again}`: {'; '.join([*times, last])}, on {where}."
+    return f"Made by `{again}`: {'; '.join([*named, last])}, on {where}."
 
 
-def timed(journal: Journal) -> list[tuple[str, dict]]:
-    """The commands of a journal that make and evaluate, with how long they took and where."""
-    return [(step, done) for step, done in journal.done.items() if step not in ("validation", "export")]
+def timed(done: dict[str, dict]) -> list[tuple[str, dict]]:
+    """The commands that make and evaluate, with how long they took and where."""
+    return [(step, each) for step, each in done.items() if step not in ("validation", "export")]
 
 
 def installing(entry: Path) -> list[str]:

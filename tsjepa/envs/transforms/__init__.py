@@ -2,7 +2,8 @@
 
 Order in a ``Compose``: Drive, Channel (or TraceChannel), Scheduler, Camera, Encode, Codec, Uplink, Acknowledge, Delay,
 Energy, Actuator, Estimator (or HierarchicalEstimator), HoldCommand; leave out what the experiment does not have. Where
-devices watch all the time, Camera, Encode and Urgency stand before the Scheduler; so do ExpectedGain and AgeCost.
+devices watch all the time, Camera, Encode, Observe and Urgency stand before the Scheduler; so do ExpectedGain and
+AgeCost.
 """
 
 from tsjepa.envs.transforms.actuator import Actuator
@@ -14,6 +15,7 @@ from tsjepa.envs.transforms.drive import Drive
 from tsjepa.envs.transforms.energy import Energy
 from tsjepa.envs.transforms.estimator import Estimator, HoldCommand, linear_model
 from tsjepa.envs.transforms.hierarchy import HierarchicalEstimator
+from tsjepa.envs.transforms.observe import Observe
 from tsjepa.envs.transforms.scheduler import Scheduler
 from tsjepa.envs.transforms.trace_channel import TraceChannel
 from tsjepa.envs.transforms.uplink import Codec, Uplink
@@ -34,6 +36,7 @@ __all__ = [
     "ExpectedGain",
     "HierarchicalEstimator",
     "HoldCommand",
+    "Observe",
     "Scheduler",
     "TraceChannel",
     "Twin",
