@@ -18,6 +18,7 @@ SIZES = {
     "batch_size": 64,
     "horizon": 5,
     "max_epochs": 2,
+    "steps_per_epoch": 4,
     "check_val_every_n_epoch": 1,
     "log_every_n_steps": 1,
     "episodes": 2,

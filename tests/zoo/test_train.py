@@ -27,16 +27,17 @@ def test_every_shipped_entry_has_a_recipe():
 
 @pytest.mark.parametrize("name", ENTRIES)
 def test_the_commands_of_an_entry_follow_from_each_other(name):
-    steps = fits(ENTRIES[name], "runs/zoo/x", 3)
-    made = []
+    steps = fits(ENTRIES[name], "runs/zoo/x/seed3", 3)
+    base = ENTRIES[name].after
+    made = [f"runs/zoo/{base}/seed3/{ENTRIES[base].fits[-1].recipe}/model"] if base else []
     for words in steps.values():
         options = dict(zip(words[1::2], words[2::2], strict=True))
         assert words[0] == "fit" and options["--seed_everything"] == "3"
-        # the first starts from nothing, the next from the model that the one before has left
+        # the first starts from nothing or from another entry, the next from the model that the one before has left
         assert options.get("--model.init_args.pretrained") == (made[-1] if made else None)
         made.append(options["--trainer.default_root_dir"] + "/model")
-    assert made[-1] == run_of(ENTRIES[name], "runs/zoo/x") + "/model"
-    evaluate = evaluation(ENTRIES[name], "runs/zoo/x", "runs/zoo/y")
+    assert made[-1] == run_of(ENTRIES[name], "runs/zoo/x/seed3") + "/model"
+    evaluate = evaluation(ENTRIES[name], "runs/zoo/x/seed3", "runs/zoo/y")
     assert evaluate[evaluate.index("--model") + 1] == made[-1]
     for words in (*steps.values(), evaluate):
         named = [word for flag, word in itertools.pairwise(words) if flag == "--config"]

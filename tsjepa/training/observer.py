@@ -5,12 +5,29 @@ from __future__ import annotations
 import lightning
 import torch
 from tensordict import TensorDictBase
-from torch import Tensor
+from torch import Tensor, nn
 
 from tsjepa.models import HierarchicalPredictor, Observer, SemanticController, entries, observe, rollout
 from tsjepa.training.controllers import train_only
 from tsjepa.training.losses import cosine_loss
 from tsjepa.training.schedule import adamw, warmup_cosine_schedule
+
+
+def watched_loss(observer: Observer, predictor: nn.Module, watched: TensorDictBase, starts: TensorDictBase) -> Tensor:
+    """The cosine loss of roll-outs from beliefs and from plain embeddings, over as many slots.
+
+    Args:
+        observer, predictor: that are trained.
+        watched: [N, W + K] with ``action`` and one more ``embedding`` than that: watched for W slots, then predicted.
+        starts: [n, K] likewise, predicted from the first embedding.
+    """
+    horizon = starts["action"].shape[1]
+    before = watched["action"].shape[1] - horizon
+    seen, commands = watched["embedding"][:, : before + 1], watched["action"][:, :before]
+    first = torch.cat((observe(observer, predictor, seen, commands).float(), starts["embedding"][:, 0]))
+    commands = torch.cat((watched["action"][:, before:], starts["action"]))
+    later = torch.cat((watched["embedding"][:, before + 1 :], starts["embedding"][:, 1:]))
+    return cosine_loss(rollout(predictor, first, commands), later)
 
 
 class FitObserver(lightning.LightningModule):
@@ -53,22 +70,10 @@ class FitObserver(lightning.LightningModule):
         return self.model
 
     def training_step(self, batch: dict[str, TensorDictBase], batch_index: int) -> Tensor:
-        watched, starts = batch["watched"], batch["starts"]
-        horizon = starts["action"].shape[1]
-        before = watched["action"].shape[1] - horizon
-        belief = self.belief(watched, before)
-        first = torch.cat((belief, starts["embedding"][:, 0]))
-        commands = torch.cat((watched["action"][:, before:], starts["action"]))
-        later = torch.cat((watched["embedding"][:, before + 1 :], starts["embedding"][:, 1:]))
-        loss = cosine_loss(rollout(self.model.predictor, first, commands), later)
+        loss = watched_loss(self.model.observer, self.model.predictor, batch["watched"], batch["starts"])
         if (self.global_step + 1) % (self.trainer.log_every_n_steps or 1) == 0:
             self.log("prediction_loss", loss, prog_bar=True)
         return loss
-
-    def belief(self, watched: TensorDictBase, slots: int) -> Tensor:
-        """What a device believes [N, d] that has watched ``slots`` slots of ``watched`` [N, slots + 1 or more]."""
-        embeddings, commands = watched["embedding"][:, : slots + 1], watched["action"][:, :slots]
-        return observe(self.model.observer, self.model.predictor, embeddings, commands).float()
 
     def validation_step(self, batch: TensorDictBase, batch_index: int) -> None:
         """Logs how far predictions are off, from beliefs and from embeddings, after a third of the trajectory."""
@@ -78,8 +83,10 @@ class FitObserver(lightning.LightningModule):
             batch["action"][:, slots : slots + ahead],
             batch["embedding"][:, slots + 1 : slots + ahead + 1],
         )
-        for name, start in (("belief", self.belief(batch, slots)), ("embedding", batch["embedding"][:, slots])):
-            loss = cosine_loss(rollout(self.model.predictor, start, commands), later)
+        seen, predictor = batch["embedding"][:, : slots + 1], self.model.predictor
+        belief = observe(self.model.observer, predictor, seen, batch["action"][:, :slots]).float()
+        for name, start in (("belief", belief), ("embedding", seen[:, -1])):
+            loss = cosine_loss(rollout(predictor, start, commands), later)
             self.log(f"val/prediction_loss_from_{name}", loss, prog_bar=True)
 
     def configure_optimizers(self):

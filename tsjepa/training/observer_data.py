@@ -15,6 +15,8 @@ from tsjepa.training.controllers import check_sizes
 from tsjepa.training.embeddings import embed_split
 from tsjepa.training.finish.refine import check_horizon, draw
 
+Batch = TensorDict | dict[str, TensorDict]
+
 
 class EpochSteps(Sampler):
     """(epoch, step) of every step of an epoch."""
@@ -57,10 +59,7 @@ class Watches:
         seed: int,
         rank: int = 0,
     ) -> None:
-        self.parts, self.counts = (
-            {"watched": watched, "starts": starts},
-            dict(zip(("watched", "starts"), counts, strict=True)),
-        )
+        self.watched, self.starts, self.counts = watched, starts, counts
         self.slots, self.horizon, self.seed, self.rank = slots, horizon, seed, rank
 
     def __getitem__(self, place: tuple[int, int]) -> dict[str, TensorDict]:
@@ -137,3 +136,6 @@ class WatchedTrajectories(Trajectories):
 
     def val_dataloader(self) -> DataLoader:
         return DataLoader([self.embedded["validation"]], batch_size=None, collate_fn=as_is)
+
+    def transfer_batch_to_device(self, batch: Batch, device: torch.device, dataloader_idx: int) -> Batch:
+        return {name: part.to(device) for name, part in batch.items()} if isinstance(batch, dict) else batch.to(device)
