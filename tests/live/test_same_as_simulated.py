@@ -12,19 +12,40 @@ from tsjepa.evaluation.rollouts import Loop, every, run
 from tsjepa.live.graphs import Graphs
 from tsjepa.live.simulated import SimulatedPlants
 from tsjepa.live.weather import Weather
-from tsjepa.models import entries
+from tsjepa.models import Observer, entries
 from tsjepa.plants import build_plant
 from tsjepa.radio.loss import IidLoss
+from tsjepa.zoo.deploy import deploy
 
 SLOTS, DEVICES, HISTORY, SEED = 60, 4, 4, 1
+
+
+@pytest.fixture(scope="module")
+def remembering(tmp_path_factory):
+    """Folder with the graphs of the same model with an observer, and the model."""
+    folder = tmp_path_factory.mktemp("remembering")
+    model = entries.load("tsjepa-cartpole")
+    model.observer = Observer(model.embedding_dim, gain=0.6)
+    deploy(str(entries.save(model, folder / "model")), str(folder / "graphs"))
+    return folder / "graphs", model
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("period", "loss"), [(1, 0.0), (5, 0.0), (1, 0.3), (3, 0.3)])
 def test_the_live_run_is_the_simulated_one(monkeypatch, shipped, period, loss):
-    model = entries.load("tsjepa-cartpole")
+    runs_alike(monkeypatch, shipped, entries.load("tsjepa-cartpole"), period, loss)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("period", "loss"), [(1, 0.0), (5, 0.3)])
+def test_so_is_that_of_devices_that_remember(monkeypatch, remembering, period, loss):
+    runs_alike(monkeypatch, *remembering, period, loss)
+
+
+def runs_alike(monkeypatch, folder, model, period, loss):
+    """Runs both loops and compares deliveries, states and scores."""
     log, live = io.StringIO(), World(monkeypatch)
-    graphs = Graphs(str(shipped), ["device", "receive", "predict"], ())
+    graphs = Graphs(str(folder), ["device", "receive", "predict"], ())
     described = graphs.description["plant"]
     live.control(devices=DEVICES, graphs=graphs, log=log)
     machine = SimulatedPlants(described, np.arange(DEVICES), SEED, None, HISTORY, 2, 1)

@@ -21,7 +21,7 @@ class Graphs:
     The command is minus a tenth of the first number; ``spoil`` replaces it.
     """
 
-    slot, payload_bytes, has_predictor = 0.02, 2, True
+    slot, payload_bytes, belief_dim, has_predictor = 0.02, 2, 0, True
     low, high, rest = np.float32([-20]), np.float32([20]), np.float32([0])
     spoil = None
 
