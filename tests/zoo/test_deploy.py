@@ -15,7 +15,7 @@ from tsjepa.envs import Radio
 from tsjepa.envs.make import make_policy
 from tsjepa.envs.payload import embedding_codec
 from tsjepa.evaluation.rollouts import Loop, every, run
-from tsjepa.models import AutoencoderController, entries
+from tsjepa.models import AutoencoderController, Observer, entries
 from tsjepa.plants import CartPole
 from tsjepa.zoo.deploy import deploy, graphs
 
@@ -206,6 +206,28 @@ def test_the_description_says_what_goes_in_and_comes_out(deployment):
     takes = bool(set_points(model, 1))
     assert said["reference"] == (["x (m)"] if takes else [])
     assert said["graphs"]["receive"]["inputs"].get("reference") == ("float32 [rows, 1]" if takes else None)
+
+
+def test_a_device_that_remembers_sends_its_belief(tmp_path):
+    model = MODELS["tiny"]()
+    model.observer = Observer(model.embedding_dim, gain=0.6)
+    deploy(str(entries.save(model, tmp_path / "model")), str(tmp_path / "graphs"), "torch_export")
+    said = json.loads((tmp_path / "graphs" / "deployment.json").read_text())["graphs"]["device"]
+    d = model.embedding_dim
+    assert said["inputs"] == {
+        "frames": "uint8 [rows, 2, 64, 128, 3]", "belief": f"float32 [rows, {d}]", "command": "float32 [rows, 1]"
+    }  # fmt: skip
+    assert said["outputs"] == {"payload": f"uint8 [rows, {d}]", "next_belief": f"float32 [rows, {d}]"}
+    run_device = ExportedGraph(tmp_path / "graphs" / "device.pt2")
+    frames, command = pictures(model, 4, seed=4), torch.linspace(-20, 20, 4)[:, None]
+    belief = model.encode(pictures(model, 4, seed=5))
+    belief[1] = 0  # of a device that begins
+    payload, after = run_device(frames, belief, command)
+    expected = model.correct(belief, command, model.encode(frames))
+    expected[1] = model.encode(frames)[1]
+    torch.testing.assert_close(after, expected, atol=1e-5, rtol=0)
+    off = (payload.int() - embedding_codec("int8", model).encode(expected).int()).abs()
+    assert off.max() <= 1 and not torch.equal(expected, model.encode(frames))
 
 
 @pytest.fixture

@@ -107,14 +107,14 @@ def program(tmp_path, monkeypatch):
     errors = iter((0.3, 0.1, 0.2))
     monkeypatch.setattr(train_module, "validation_error", lambda folder, data, split: next(errors))
 
-    def start(refused: str = "nothing", seeds: int = 1) -> list[tuple[str, dict]]:
+    def start(refused: str = "nothing", seeds: int = 1, name: str = NAME) -> list[tuple[str, dict]]:
         program = Program(refused)
         monkeypatch.setattr(train_module, "run", program)
         if refused == "nothing":
-            train(NAME, seeds)
+            train(name, seeds)
         else:
             with pytest.raises(RuntimeError, match=refused):
-                train(NAME, seeds)
+                train(name, seeds)
         return program.ran
 
     return start
@@ -158,6 +158,23 @@ def test_other_weights_are_evaluated_and_exported_anew(program):
     program()
     entries.save(tiny_controller.tiny(9), f"runs/zoo/{NAME}/seed0/actor/model")
     assert [command for command, _ in program()] == ["evaluate", "export"]
+
+
+def test_an_entry_after_another_one_has_that_ones_fits_made_first(program):
+    ran = program(name=f"{NAME}-observer")
+    fits = [options["--trainer.default_root_dir"] for command, options in ran if command == "fit"]
+    assert fits == [
+        f"runs/zoo/{NAME}/seed0/jepa",
+        f"runs/zoo/{NAME}/seed0/actor",
+        f"runs/zoo/{NAME}-observer/seed0/observer",
+    ]
+    command, exported = ran[-1]
+    assert command == "export" and exported["export"] == f"runs/zoo/{NAME}-observer/seed0/observer"
+    assert exported["--decoder"] == "false"  # the other entry has the same one
+    collected = "observer 7 s with collecting the data"
+    assert f"jepa 7 s with collecting the data, actor 7 s, {collected}; evaluate 7 s, on" in exported["--trained_with"]
+    ran = program()
+    assert [command for command, _ in ran] == ["evaluate", "export"] and "--decoder" not in ran[-1][1]
 
 
 @pytest.mark.slow

@@ -6,12 +6,12 @@ from pathlib import Path
 import pytest
 import torch
 import yaml
-from tiny_controller import tiny, tiny_supervised
+from tiny_controller import frames, tiny, tiny_supervised
 
 import tsjepa
 from tsjepa import cli
 from tsjepa.evaluation.summary import FIRST_LOST
-from tsjepa.models import entries
+from tsjepa.models import Observer, entries
 from tsjepa.zoo import export as export_module
 from tsjepa.zoo.card import card
 from tsjepa.zoo.export import export
@@ -147,6 +147,14 @@ def test_names_that_are_none_are_refused(evaluations):
             export("runs/actor", name)
     with pytest.raises(FileNotFoundError, match="no model 'runs/absent'"):
         export("runs/absent", "tiny")
+
+
+@pytest.mark.slow
+def test_an_entry_may_leave_its_decoder_out(entry):
+    export("runs/actor", "whole"), export("runs/actor", "without", decoder=False)
+    whole, without = (tsjepa.load(f"checkpoints/{name}") for name in ("whole", "without"))
+    assert whole.decoder is not None and without.decoder is None
+    assert torch.equal(whole.encode(frames()), without.encode(frames()))
 
 
 @pytest.mark.slow
@@ -318,6 +326,11 @@ def test_a_card_says_what_the_figures_say():
     assert "Made by `tsjepa evaluate` at commit abc, 2026-01-01 on 2 cores of a processor." in lines
     assert 'model = tsjepa.load("tiny")' in lines
     assert "u = model.act(z)  # [..., m]: force (N)" in lines
+    assert not any("correct" in line for line in lines)
+    remembering = tiny()
+    remembering.observer = Observer(remembering.embedding_dim)
+    told = card("tiny", remembering, FIGURES)
+    assert "z = model.correct(z, u, model.encode(next_frames))" in told.splitlines() and "The device remembers" in told
     assert "for the cart-pole, at 20 ms a slot" in text
     assert "(2 frames of 64 x 128, 20 ms apart)" in text
     assert "The scores hold for `tsjepa.plants.CartPole(process_noise_std=0.008)`." in text
