@@ -21,10 +21,10 @@ def correct(belief, command, embedding):
     return 0.5 * belief + 0.2 * command + 0.3 * embedding
 
 
-def chain(lengths=None):
+def chain(lengths=None, begin=None):
     """A fleet whose state stands for what is seen."""
     encode = Encode(lambda state: 2 * state, 2, in_key="state")
-    sends = [Channel(snr_target_db=8.0), encode, Observe(correct), Scheduler("channel_aware", 2)]
+    sends = [Channel(snr_target_db=8.0), encode, Observe(correct, begin), Scheduler("channel_aware", 2)]
     estimator = Estimator(lambda belief, action: 0.9 * belief)
     return TransformedEnv(LinearFleet((6,), lengths), Compose(*sends, Codec(FloatCodec()), Uplink(), estimator))
 
@@ -56,6 +56,16 @@ def test_a_new_episode_begins_with_what_is_seen():
     torch.testing.assert_close(data["embedding"][1:, 7], others)
 
 
+def test_only_those_that_start_begin_with_their_warm_up():
+    data = chain([7, 50, 50, 50, 50, 50], lambda scene: scene.flatten(1)[:, :2] + 5).rollout(
+        12, policy, break_when_any_done=False
+    )
+    torch.testing.assert_close(data["embedding"][:, 0], data["scene"][:, 0].flatten(1)[:, :2] + 5)
+    torch.testing.assert_close(data["embedding"][0, 7], data["scene"][0, 7].flatten()[:2] + 5)
+    others = correct(data["embedding"][1:, 6], data["action"][1:, 6], 2 * data["state"][1:, 7])
+    torch.testing.assert_close(data["embedding"][1:, 7], others)
+
+
 def test_what_is_missing_in_front_of_it_is_named():
     with pytest.raises(KeyError, match="put a Camera and an Encode before it"):
         TransformedEnv(LinearFleet((6,)), Compose(Observe(correct))).reset()
@@ -74,6 +84,19 @@ def test_an_observer_that_takes_every_embedding_as_it_is_changes_nothing(schedul
         runs.append(run(Loop(PLANT, model, scheduler, num_devices=5, slots=15, radio=radio), 0))
     for name in ("state", "action", "delivered", "age"):
         torch.testing.assert_close(getattr(runs[1], name), getattr(runs[0], name), atol=1e-4, rtol=1e-4)
+
+
+@pytest.mark.parametrize(("spacing", "history"), [(1, 2), (1, 4), (2, 3), (2, 6)])
+def test_an_episode_starts_with_what_the_warm_up_has_shown(spacing, history):
+    model = tiny_controller.tiny(frame_spacing=spacing)
+    model.observer = Observer(tiny_controller.DIM, gain=0.3)
+    loop = Loop(PLANT, model, "none", num_devices=3, slots=2, frame_history=history)
+    now = loop.env(0).reset()
+    pictures = torch.from_numpy(PLANT.render(now["scene"].flatten(0, 1).numpy())).unflatten(0, (3, history))
+    belief = model.encode(pictures[:, [0, spacing]])
+    for first in range(1, history - spacing):
+        belief = model.correct(belief, torch.zeros(3, 1), model.encode(pictures[:, [first, first + spacing]]))
+    torch.testing.assert_close(now["device_belief"], belief, atol=1e-5, rtol=1e-5)
 
 
 def test_what_a_controller_hears_of_is_what_the_device_has_watched_meanwhile():

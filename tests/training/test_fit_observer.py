@@ -40,16 +40,17 @@ def test_the_gain_becomes_kalmans(process_std, seen_std):
     """For a random walk of variance q a slot, seen with variance r: K = p / (p + r), where p^2 - q p - q r = 0."""
     q, r = process_std**2, seen_std**2
     p = (q + math.sqrt(q * q + 4 * q * r)) / 2
-    generator, observer = torch.Generator().manual_seed(0), Observer(2, gain=0.9)
-    optimizer = torch.optim.Adam(observer.parameters(), 0.01)
+    generator, model = torch.Generator().manual_seed(0), tiny_controller.tiny()
+    model.observer, model.predictor = Observer(2, gain=0.9), Turn()
+    optimizer = torch.optim.Adam(model.observer.parameters(), 0.01)
     starts = watched(1, 2, process_std, seen_std, generator)
     for step in range(400):
         for group in optimizer.param_groups:
             group["lr"] = 0.01 * (1 - step / 400)
         optimizer.zero_grad()
-        watched_loss(observer, Turn(), watched(512, 16, process_std, seen_std, generator), starts).backward()
+        watched_loss(model, watched(512, 16, process_std, seen_std, generator), starts).backward()
         optimizer.step()
-    gain = observer.correction.weight.diagonal().mean().item()
+    gain = model.observer.correction.weight.diagonal().mean().item()
     assert gain == pytest.approx(p / (p + r), abs=0.04)
 
 

@@ -19,7 +19,7 @@ from torchrl.envs import Compose, TransformedEnv
 from tsjepa.envs.fleet import FleetEnv
 from tsjepa.envs.need import watched
 from tsjepa.envs.payload import sends_frames
-from tsjepa.envs.radio_end import actuator, radio_end
+from tsjepa.envs.radio_end import actuator, radio_end, rest
 from tsjepa.envs.settings import Radio
 from tsjepa.envs.transforms import Estimator, HierarchicalEstimator, HoldCommand, linear_model
 from tsjepa.envs.weights import at_weights
@@ -131,11 +131,6 @@ def holds(controller: str | Controller, between: str | None = None) -> bool:
     if isinstance(controller, Controller):
         return (between or ("predict" if controller.has_predictor else "hold")) != "predict"
     return controller in (HOLD, ZERO)
-
-
-def rest(plant: Plant) -> torch.Tensor:
-    """The command [m] that is nearest to zero."""
-    return torch.tensor(np.clip(0.0, plant.spec.action_low, plant.spec.action_high), dtype=torch.float32)
 
 
 def prediction(controller: str | Controller, plant: Plant) -> Callable[[Tensor, Tensor], Tensor]:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 
+import numpy as np
 import torch
 from torch import nn
 
@@ -27,7 +28,7 @@ from tsjepa.envs.transforms import (
 from tsjepa.envs.transforms.delay import ACKNOWLEDGED
 from tsjepa.envs.transforms.uplink import AT_BASE_STATION, AT_CONTROLLER
 from tsjepa.envs.weights import at_weights
-from tsjepa.models import Controller
+from tsjepa.models import Controller, SemanticController
 from tsjepa.plants.plant import Plant
 from tsjepa.radio.links import McsLink
 from tsjepa.radio.schedulers import SCHEDULERS, SchedulerFunction
@@ -65,9 +66,31 @@ def radio_end(
         remote = Encode(model.encoder, model.embedding_dim, in_key="received", mask_key="delivered")
         return [*links, decides, camera, Codec(codec, in_key="pixels"), *arrival, remote]
     sees = [camera, Encode(model.encoder, model.embedding_dim)]
-    if getattr(model, "observer", None) is not None:
-        return [*links, *sees, Observe(at_weights(model, model.correct)), decides, Codec(codec), *arrival]
+    if isinstance(model, SemanticController) and model.observer is not None:
+        remembers = Observe(at_weights(model, model.correct), warm_up(plant, model))
+        return [*links, *sees, remembers, decides, Codec(codec), *arrival]
     return [*links, decides, *sees, Codec(codec), *arrival]
+
+
+def warm_up(plant: Plant, model: SemanticController) -> Callable[[torch.Tensor], torch.Tensor]:
+    """What a device believes [N, d] when its episode starts, from the scenes [N, frame_history, s] of its warm-up.
+
+    It has watched every whole stack in them, under the command at rest.
+    """
+    at_rest, offsets = rest(plant), model.frame_spacing * torch.arange(model.frame_stack)
+    watch = at_weights(model, lambda stacks, commands: model.watched(model.encode(stacks), commands))
+
+    def begin(scenes: torch.Tensor) -> torch.Tensor:
+        pictures = torch.from_numpy(plant.render(scenes.flatten(0, 1).cpu().numpy())).unflatten(0, scenes.shape[:2])
+        first = torch.arange(scenes.shape[1] - model.frame_history + 1)
+        return watch(pictures[:, first[:, None] + offsets], at_rest.expand(len(scenes), len(first) - 1, -1))
+
+    return begin
+
+
+def rest(plant: Plant) -> torch.Tensor:
+    """The command [m] that is nearest to zero."""
+    return torch.tensor(np.clip(0.0, plant.spec.action_low, plant.spec.action_high), dtype=torch.float32)
 
 
 def channel(slot: float, num_devices: int, radio: Radio, seed: int) -> list[nn.Module]:

@@ -58,6 +58,10 @@ class Camera:
         self.frames.append(self._picture())
         return np.stack(list(self.frames)[:: self.spacing])[None]
 
+    def earlier(self) -> list[np.ndarray]:
+        """Stacks of a warm-up: none, a camera sees the machine for the first time when it looks."""
+        return []
+
     def act(self, commands: np.ndarray) -> bool:
         """Gives the actuator a command [1, m]; a function that fails is counted."""
         if self.actuate is not None:

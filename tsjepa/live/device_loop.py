@@ -65,8 +65,7 @@ class Device:
         self.late = 0
         self.counts = dict.fromkeys(("sent", "lost", "commands", "safe", "held"), 0)
         self.record, self.seen = record, np.empty(0)
-        self.belief = np.zeros((len(numbers), graphs.belief_dim), np.float32)  # of a device that remembers
-        self.applied = np.repeat(self.safe[None], len(numbers), 0)
+        self.remember()
         self.radio = {number: [False, False] for number in numbers}  # sent, and not lost on purpose, in this slot
         self.port = Port(self.hear, connect=controller)
 
@@ -113,6 +112,13 @@ class Device:
             with self.stages["send"].timed():
                 self.send(number, payloads[row].tobytes())
         self.late += time.monotonic() > self.metronome.begins(self.slot + 1)
+
+    def remember(self) -> None:
+        """Begins an episode: a device that remembers believes what the warm-up has shown, under the command at rest."""
+        self.applied = np.repeat(self.graphs.rest[None], len(self.links), 0)
+        self.belief = np.zeros((len(self.links), self.graphs.belief_dim), np.float32)  # zeros are no belief yet
+        for frames in self.machine.earlier() if self.belief.size else ():
+            _, self.belief = self.graphs.observe(frames, self.belief, self.applied)
 
     def encode(self, frames: np.ndarray) -> np.ndarray:
         """Payloads uint8 [n, bytes]; a device that remembers makes its belief of this slot."""
@@ -197,9 +203,9 @@ class Device:
         self.slot += 1
         if begins:
             self.first = self.slot
-            self.belief = np.zeros_like(self.belief)
             for plans in self.plans.values():
                 plans.clear()
+            self.remember()
 
     def write_slot(self, record: Record) -> None:
         """Has this slot recorded: the newest picture, the true state of a simulated plant, command and radio."""

@@ -50,7 +50,7 @@ class SimulatedPlants:
         self.devices, self.seed, self.episode_slots = devices, HELD_OUT + seed, episode_slots
         self.spacing, self.span = frame_spacing, (frame_stack - 1) * frame_spacing + 1
         self.history = max(frame_history, self.span)
-        self.frames: deque[np.ndarray] = deque(maxlen=self.span)
+        self.frames: deque[np.ndarray] = deque(maxlen=self.history)
         self.scores: deque[float] = deque(maxlen=REMEMBERED)
         self.episodes = self.fallen = 0
         self.begin(0)
@@ -62,8 +62,7 @@ class SimulatedPlants:
         rest = np.clip(0.0, spec.action_low, spec.action_high)[None].repeat(len(self.devices), 0)
         self.physics = self.plant.start(self.seed, self.devices, self.episode)
         for slot in range(1 - self.history, 0):
-            if slot > -self.span:
-                self._picture()
+            self._picture()
             self._advance(rest, slot)
         self._picture()
         self.down = np.asarray(self.plant.failed(self.state))
@@ -81,7 +80,14 @@ class SimulatedPlants:
 
     def look(self) -> np.ndarray:
         """The newest stack of every camera, uint8 [n, frame_stack, H, W, 3], oldest frame first."""
-        return np.stack(list(self.frames)[:: self.spacing], axis=1)
+        return self._stack(len(self.frames))
+
+    def earlier(self) -> list[np.ndarray]:
+        """The stacks before the newest, the oldest first; at the start of an episode those of the warm-up."""
+        return [self._stack(end) for end in range(self.span, len(self.frames))]
+
+    def _stack(self, end: int) -> np.ndarray:
+        return np.stack(list(self.frames)[end - self.span : end : self.spacing], axis=1)
 
     def act(self, commands: np.ndarray) -> bool:
         """Ends a slot: the plants move under ``commands`` [n, m]; returns whether a new episode begins."""

@@ -7,7 +7,7 @@ from tsjepa.models.decoder import Decoder
 from tsjepa.models.difference_encoder import DifferenceEncoder
 from tsjepa.models.encoder import Encoder
 from tsjepa.models.hierarchy import HierarchicalPredictor
-from tsjepa.models.observer import Observer, observe
+from tsjepa.models.observer import Observer
 from tsjepa.models.onnx_encoder import OnnxEncoder
 from tsjepa.models.predictor import Predictor, rollout
 from tsjepa.models.probe import StateProbe
@@ -29,6 +29,5 @@ __all__ = [
     "StateEstimator",
     "StateProbe",
     "TimmEncoder",
-    "observe",
     "rollout",
 ]

@@ -32,18 +32,3 @@ class Observer(nn.Module):
     def forward(self, predicted: Tensor, embedding: Tensor) -> Tensor:
         """Belief [..., d] of unit length from ``predicted`` [..., d] and the ``embedding`` [..., d] that is seen."""
         return F.normalize(predicted + self.correction(embedding - predicted).float(), dim=-1)
-
-
-def observe(observer: Observer, predictor: nn.Module, embeddings: Tensor, commands: Tensor) -> Tensor:
-    """The belief [..., d] after a row of slots; the first embedding is taken as it is.
-
-    Args:
-        observer, predictor: of one controller.
-        embeddings: [..., W + 1, d], those that were seen.
-        commands: [..., W, m], the command applied between two of them.
-    """
-    first, *seen = embeddings.unbind(-2)
-    belief = first
-    for command, embedding in zip(commands.unbind(-2), seen, strict=True):
-        belief = observer(predictor(belief, command), embedding)
-    return belief

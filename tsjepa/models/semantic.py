@@ -79,6 +79,21 @@ class SemanticController(Controller):
             raise ValueError("This controller has no observer: send its embeddings as they are, or fit one to it.")
         return self.observer(self.predict(belief, command), embedding)
 
+    def watched(self, embeddings: Tensor, commands: Tensor) -> Tensor:
+        """What a device believes [..., d] after a row of slots; the first embedding is taken as it is.
+
+        Args:
+            embeddings: [..., W + 1, d], those that were seen.
+            commands: [..., W, m], the command applied between two of them.
+
+        Raises:
+            ValueError: this controller has no observer.
+        """
+        belief = embeddings[..., 0, :]
+        for slot in range(commands.shape[-2]):
+            belief = self.correct(belief, commands[..., slot, :], embeddings[..., slot + 1, :])
+        return belief
+
     def act(self, embedding: Tensor, reference: Tensor | None = None) -> Tensor:
         """Command [..., m] for ``embedding`` [..., d] and set-points [..., r]."""
         return self.actor(embedding, reference)

@@ -5,29 +5,29 @@ from __future__ import annotations
 import lightning
 import torch
 from tensordict import TensorDictBase
-from torch import Tensor, nn
+from torch import Tensor
 
-from tsjepa.models import HierarchicalPredictor, Observer, SemanticController, entries, observe, rollout
+from tsjepa.models import HierarchicalPredictor, Observer, SemanticController, entries, rollout
 from tsjepa.training.controllers import train_only
 from tsjepa.training.losses import cosine_loss
 from tsjepa.training.schedule import adamw, warmup_cosine_schedule
 
 
-def watched_loss(observer: Observer, predictor: nn.Module, watched: TensorDictBase, starts: TensorDictBase) -> Tensor:
+def watched_loss(model: SemanticController, watched: TensorDictBase, starts: TensorDictBase) -> Tensor:
     """The cosine loss of roll-outs from beliefs and from plain embeddings, over as many slots.
 
     Args:
-        observer, predictor: that are trained.
+        model: whose observer and predictor are trained.
         watched: [N, W + K] with ``action`` and one more ``embedding`` than that: watched for W slots, then predicted.
         starts: [n, K] likewise, predicted from the first embedding.
     """
     horizon = starts["action"].shape[1]
     before = watched["action"].shape[1] - horizon
     seen, commands = watched["embedding"][:, : before + 1], watched["action"][:, :before]
-    first = torch.cat((observe(observer, predictor, seen, commands).float(), starts["embedding"][:, 0]))
+    first = torch.cat((model.watched(seen, commands).float(), starts["embedding"][:, 0]))
     commands = torch.cat((watched["action"][:, before:], starts["action"]))
     later = torch.cat((watched["embedding"][:, before + 1 :], starts["embedding"][:, 1:]))
-    return cosine_loss(rollout(predictor, first, commands), later)
+    return cosine_loss(rollout(model.predictor, first, commands), later)
 
 
 class FitObserver(lightning.LightningModule):
@@ -70,7 +70,7 @@ class FitObserver(lightning.LightningModule):
         return self.model
 
     def training_step(self, batch: dict[str, TensorDictBase], batch_index: int) -> Tensor:
-        loss = watched_loss(self.model.observer, self.model.predictor, batch["watched"], batch["starts"])
+        loss = watched_loss(self.model, batch["watched"], batch["starts"])
         if (self.global_step + 1) % (self.trainer.log_every_n_steps or 1) == 0:
             self.log("prediction_loss", loss, prog_bar=True)
         return loss
@@ -83,10 +83,10 @@ class FitObserver(lightning.LightningModule):
             batch["action"][:, slots : slots + ahead],
             batch["embedding"][:, slots + 1 : slots + ahead + 1],
         )
-        seen, predictor = batch["embedding"][:, : slots + 1], self.model.predictor
-        belief = observe(self.model.observer, predictor, seen, batch["action"][:, :slots]).float()
+        seen = batch["embedding"][:, : slots + 1]
+        belief = self.model.watched(seen, batch["action"][:, :slots]).float()
         for name, start in (("belief", belief), ("embedding", seen[:, -1])):
-            loss = cosine_loss(rollout(predictor, start, commands), later)
+            loss = cosine_loss(rollout(self.model.predictor, start, commands), later)
             self.log(f"val/prediction_loss_from_{name}", loss, prog_bar=True)
 
     def configure_optimizers(self):

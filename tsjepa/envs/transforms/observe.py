@@ -9,26 +9,32 @@ from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.data import Composite, TensorSpec
 
-from tsjepa.envs.transforms.base import SlotTransform, Values, number_spec, require_key
+from tsjepa.envs.transforms.base import SlotTransform, Values, number_spec, require_key, scatter_rows
 
 
 class Observe(SlotTransform):
     """Replaces the ``embedding`` of every device by its belief, in every slot: what it sends when it is scheduled.
 
     Put it behind an :class:`Encode` of all devices, so before the Scheduler. The device knows the command that its
-    actuator applied. Its first embedding of an episode is taken as it is. Carries ``device_belief`` [*B, d].
+    actuator applied. Carries ``device_belief`` [*B, d].
 
     Args:
         correct: from the last belief [*B, d], the command since [*B, m] and the embedding [*B, d] to the belief; a
             model's :meth:`tsjepa.models.SemanticController.correct`. Run without gradients.
+        begin: from scenes [N, frame_history, s], of devices that start an episode, to their beliefs [N, d]; None takes
+            the first embedding as it is.
     """
 
     carried = ("device_belief",)
     previous_keys = ("action",)
 
-    def __init__(self, correct: Callable[[Tensor, Tensor, Tensor], Tensor]):
+    def __init__(
+        self,
+        correct: Callable[[Tensor, Tensor, Tensor], Tensor],
+        begin: Callable[[Tensor], Tensor] | None = None,
+    ):
         super().__init__(in_keys=["embedding"], out_keys=["embedding", "device_belief"])
-        self.correct = correct
+        self.correct, self.begin = correct, begin
 
     def _specs(self, incoming: Composite) -> dict[str, TensorSpec]:
         seen = self._seen(incoming)
@@ -42,6 +48,9 @@ class Observe(SlotTransform):
         belief = self._seen(current)
         if fresh is None:
             belief = self.correct(previous["device_belief"], previous["action"], belief).to(torch.float32)
+        elif self.begin is not None:
+            scene = require_key(current, "scene", "Observe", "a fleet")
+            belief = scatter_rows(fresh, self.begin(scene[fresh]).to(torch.float32))
         return {"embedding": belief, "device_belief": belief}
 
     def _seen(self, container: Composite | TensorDictBase) -> TensorSpec | Tensor:
