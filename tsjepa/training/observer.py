@@ -79,11 +79,8 @@ class FitObserver(lightning.LightningModule):
         """Logs how far predictions are off, from beliefs and from embeddings, after a third of the trajectory."""
         slots = batch.shape[1] // 3
         ahead = min(20, batch.shape[1] - 1 - slots)
-        commands, later = (
-            batch["action"][:, slots : slots + ahead],
-            batch["embedding"][:, slots + 1 : slots + ahead + 1],
-        )
-        seen = batch["embedding"][:, : slots + 1]
+        seen, later = batch["embedding"][:, : slots + ahead + 1].split((slots + 1, ahead), 1)
+        commands = batch["action"][:, slots : slots + ahead]
         belief = self.model.watched(seen, batch["action"][:, :slots]).float()
         for name, start in (("belief", belief), ("embedding", seen[:, -1])):
             loss = cosine_loss(rollout(self.model.predictor, start, commands), later)
