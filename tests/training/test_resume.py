@@ -21,9 +21,12 @@ CASES = {
     "recipes/jepa.yaml": {},
     # dropout, whose draws have to be repeated
     "recipes/actor.yaml": {"dropout": 0.2},
+    # batches that are drawn anew by epoch and step
+    "recipes/observer.yaml": {},
     # a learning rate that falls after every epoch
     "recipes/paper/jepa.yaml": {"step_size": 1, "gamma": 0.5},
 }
+BEFORE = {"recipes/actor.yaml": "recipes/jepa.yaml", "recipes/observer.yaml": "recipes/actor.yaml"}
 STATE = ("state_dict", "optimizer_states", "lr_schedulers", "global_step", "epoch")
 
 
@@ -52,8 +55,9 @@ def home(tmp_path_factory):
     def once(name: str) -> Path:
         if name not in done:
             path = Path(tiny.exported(tiny.merged(name))).parent
-            if name == "recipes/actor.yaml" and not Path("runs/jepa/model").exists():
-                shutil.copytree(once("recipes/jepa.yaml") / "model", "runs/jepa/model")
+            before = BEFORE.get(name)
+            if before and not Path(tiny.exported(tiny.merged(before))).exists():
+                shutil.copytree(once(before) / "model", tiny.exported(tiny.merged(before)))
             assert cli.main(tiny.command_of(name)) == 0
             done[name] = path.rename(path.with_name(path.name + "-undisturbed"))
         return done[name]
