@@ -22,7 +22,7 @@ from tsjepa.evaluation.metrics import normalized_score
 from tsjepa.evaluation.recorded import record_runs
 from tsjepa.evaluation.rollouts import Loop, optimal_scores, run
 from tsjepa.evaluation.shown import shown_run
-from tsjepa.models import Controller, entries
+from tsjepa.models import Controller
 from tsjepa.plants import Plant, describe_plant
 from tsjepa.radio.schedulers import SchedulerFunction, get_scheduler
 from tsjepa.radio.traces import describe, read_trace
@@ -174,9 +174,9 @@ def load_controller(name: str, device: str = "cpu") -> str | Controller:
     try:
         return load_on(name, device)
     except FileNotFoundError as error:
-        known = ", ".join((*ON_STATE, *entries.names()))
         raise FileNotFoundError(
-            f"There is no controller {name!r}: choose the folder of a model, or {known}."
+            f"There is no controller {name!r}: choose the folder of a model, or {', '.join(ON_STATE)}, or an entry "
+            "that `tsjepa zoo` lists."
         ) from error
 
 
