@@ -37,9 +37,8 @@ def test_the_live_run_is_the_simulated_one(monkeypatch, shipped, period, loss):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("period", "loss"), [(1, 0.0), (5, 0.3)])
-def test_so_is_that_of_devices_that_remember(monkeypatch, remembering, period, loss):
-    runs_alike(monkeypatch, *remembering, period, loss)
+def test_so_is_that_of_devices_that_remember(monkeypatch, remembering):
+    runs_alike(monkeypatch, *remembering, period=5, loss=0.3)
 
 
 def runs_alike(monkeypatch, folder, model, period, loss):

@@ -19,7 +19,7 @@ from tsjepa.zoo.steps import ENTRIES, fits
 NAME = "tsjepa-cartpole-d16"
 HOME = Path("runs/zoo", NAME)
 PATIENCE = 300.0  # seconds, of a busy machine
-EPOCHS = 100  # more than pass between a checkpoint that is seen and the signal
+EPOCHS = 40  # more than pass between a checkpoint that is seen and the signal
 ENDS = {signal.SIGKILL: -signal.SIGKILL, signal.SIGTERM: 128 + signal.SIGTERM, signal.SIGINT: 130}
 
 
