@@ -42,8 +42,8 @@ def test_a_row_of_slots_is_believed_one_after_the_other():
     belief = seen[:, 0]
     for slot in range(3):
         belief = model.correct(belief, commands[:, slot], seen[:, slot + 1])
-    torch.testing.assert_close(model.watched(seen, commands), belief)
-    torch.testing.assert_close(model.watched(seen[:, :1], commands[:, :0]), seen[:, 0])
+    torch.testing.assert_close(model.belief_after(seen, commands), belief)
+    torch.testing.assert_close(model.belief_after(seen[:, :1], commands[:, :0]), seen[:, 0])
 
 
 def test_a_controller_without_one_says_so():

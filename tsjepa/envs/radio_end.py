@@ -78,7 +78,7 @@ def warm_up(plant: Plant, model: SemanticController) -> Callable[[torch.Tensor],
     It has watched every whole stack in them, under the command at rest.
     """
     at_rest, offsets = rest(plant), model.frame_spacing * torch.arange(model.frame_stack)
-    watch = at_weights(model, lambda stacks, commands: model.watched(model.encode(stacks), commands))
+    watch = at_weights(model, lambda stacks, commands: model.belief_after(model.encode(stacks), commands))
 
     def begin(scenes: torch.Tensor) -> torch.Tensor:
         pictures = torch.from_numpy(plant.render(scenes.flatten(0, 1).cpu().numpy())).unflatten(0, scenes.shape[:2])

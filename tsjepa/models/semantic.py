@@ -79,7 +79,7 @@ class SemanticController(Controller):
             raise ValueError("This controller has no observer: send its embeddings as they are, or fit one to it.")
         return self.observer(self.predict(belief, command), embedding)
 
-    def watched(self, embeddings: Tensor, commands: Tensor) -> Tensor:
+    def belief_after(self, embeddings: Tensor, commands: Tensor) -> Tensor:
         """What a device believes [..., d] after a row of slots; the first embedding is taken as it is.
 
         Args:

@@ -24,7 +24,7 @@ def watched_loss(model: SemanticController, watched: TensorDictBase, starts: Ten
     horizon = starts["action"].shape[1]
     before = watched["action"].shape[1] - horizon
     seen, commands = watched["embedding"][:, : before + 1], watched["action"][:, :before]
-    first = torch.cat((model.watched(seen, commands).float(), starts["embedding"][:, 0]))
+    first = torch.cat((model.belief_after(seen, commands).float(), starts["embedding"][:, 0]))
     commands = torch.cat((watched["action"][:, before:], starts["action"]))
     later = torch.cat((watched["embedding"][:, before + 1 :], starts["embedding"][:, 1:]))
     return cosine_loss(rollout(model.predictor, first, commands), later)
@@ -81,7 +81,7 @@ class FitObserver(lightning.LightningModule):
         ahead = min(20, batch.shape[1] - 1 - slots)
         seen, later = batch["embedding"][:, : slots + ahead + 1].split((slots + 1, ahead), 1)
         commands = batch["action"][:, slots : slots + ahead]
-        belief = self.model.watched(seen, batch["action"][:, :slots]).float()
+        belief = self.model.belief_after(seen, batch["action"][:, :slots]).float()
         for name, start in (("belief", belief), ("embedding", seen[:, -1])):
             loss = cosine_loss(rollout(self.model.predictor, start, commands), later)
             self.log(f"val/prediction_loss_from_{name}", loss, prog_bar=True)
