@@ -110,6 +110,27 @@ def test_for_a_first_contact_devices_ask_until_they_are_heard(delay):
     assert first.max() > 0 and (data["true_error"][:, -1] > 0).any()
 
 
+@pytest.mark.parametrize("delay", [0, 1, 3])
+@pytest.mark.parametrize("change", [1, 3])
+def test_where_only_changes_are_said_the_base_station_keeps_to_what_it_heard(delay, change):
+    """Slot by slot and device by device, in plain numbers, beside what a device that speaks in every slot would say."""
+    urgency = Urgency(twin(predict=wrong_model), "state", CODE, delay, change=change)
+    data = rollout(urgency, Scheduler("urgency", 2))
+    codes = CODE.encode(data["true_error"])
+    for device in range(6):
+        heard, on_the_way = 0, [0] * delay
+        for slot in range(40):
+            if slot and data["delivered"][device, slot - 1]:
+                heard, on_the_way = 0, [0] * delay
+            speaks = abs(int(codes[device, slot]) - heard) >= change
+            heard = int(codes[device, slot]) if speaks else heard
+            on_the_way.append(heard)
+            assert data["signalling_bits"][device, slot] == (4 + 3 if speaks else 0)  # 3 bits name one of 6 devices
+            assert data["urgency"][device, slot] == CODE.levels()[on_the_way.pop(0)]
+    silent = data["signalling_bits"] == 0
+    assert silent.any() and not silent.all() and (codes[silent] > 0).any()
+
+
 def test_with_a_right_model_only_the_unheard_are_urgent():
     data = rollout(Urgency(twin(), "state"), Scheduler("genie", 1), end=Estimator(linear_model(A, B)))
     informed = torch.cat((torch.zeros(6, 1, dtype=torch.bool), data["informed"][:, :-1]), 1)
@@ -186,7 +207,8 @@ def test_a_controller_learns_from_what_it_hears():
 def chain_of(name):
     if name == "expected_urgency":
         return ExpectedGain(twin(predict=wrong_model)), Scheduler(name, 6)
-    urgency = Urgency(twin(predict=wrong_model), "state", CODE, 2, first_contact=name == "first_contact")
+    change = 2 if name == "urgency" else None
+    urgency = Urgency(twin(predict=wrong_model), "state", CODE, 2, first_contact=name == "first_contact", change=change)
     return urgency, Scheduler(name, 6)
 
 
@@ -215,5 +237,8 @@ def test_specs(name):
 def test_bad_input_is_rejected():
     with pytest.raises(ValueError, match="delay -1"):
         Urgency(twin(), delay=-1)
+    for bad in ({"change": 0, "code": CODE}, {"change": 1}):
+        with pytest.raises(ValueError, match="at least 1 code"):
+            Urgency(twin(), **bad)
     with pytest.raises(KeyError, match="put a Camera and an Encode before it"):
         rollout(Urgency(twin()), Scheduler("urgency", 1))

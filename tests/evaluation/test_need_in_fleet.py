@@ -100,6 +100,9 @@ def test_requests_are_counted_and_nobody_else_pays():
     assert torch.equal(outcomes[2].signalling_bits, 4 * unheard) and not unheard[-1].all()
     two = replace(LOOP.radio, requests=Requests(bits=2, delay=0))
     assert (run(replace(LOOP, scheduler="urgency", slots=5, radio=two), 0).signalling_bits == 2).all()
+    changes = replace(LOOP.radio, requests=Requests(change=2))
+    bits = run(replace(LOOP, scheduler="urgency", radio=changes), 0).signalling_bits
+    assert set(bits.unique().tolist()) == {0, 4 + 3}
 
 
 def test_a_function_of_the_users_own_is_told_the_urgency_where_requests_are_set():

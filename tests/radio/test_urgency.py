@@ -40,6 +40,14 @@ def test_bits_are_counted_where_something_is_sent():
     code = UrgencyCode(4, full_scale=1.0, law="linear")
     asked = torch.tensor([[True, False, True]])
     assert code.signalling_bits(asked).tolist() == [[4, 0, 4]]
+    for devices, name in ((1, 0), (2, 1), (128, 7), (129, 8)):
+        assert code.signalling_bits(torch.ones(devices), named=True).tolist() == [4 + name] * devices
+
+
+def test_a_change_is_counted_in_codes_either_way():
+    code = UrgencyCode(3, full_scale=64.0, smallest=1.0)
+    said = torch.tensor([4.0, 4.0, 4.0, 4.0, 0.0])
+    assert code.changed(torch.tensor([4.1, 8.0, 16.0, 1.0, 0.9]), said, 2).tolist() == [False, False, True, True, False]
 
 
 def test_bad_input_is_rejected():

@@ -73,8 +73,11 @@ def watched(
         )
     key = "embedding" if sees else "state"
     requests = Requests() if radio.requests is None else radio.requests
-    code, delay = (None, 0) if scheduler == TRUE else (requests.code(), requests.delay)
-    says = Urgency(twin, key, code, delay, first_contact=scheduler == FIRST)
+    if scheduler == TRUE:
+        says = Urgency(twin, key)
+    else:
+        first = scheduler == FIRST
+        says = Urgency(twin, key, requests.code(), requests.delay, first_contact=first, change=requests.change)
     links, rest = ([part for part in half if part not in sees] for half in (chain[:place], chain[place:]))
     return [*links, *sees, says, *rest]
 

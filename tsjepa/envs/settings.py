@@ -49,23 +49,28 @@ class Downlink:
 
 @dataclass(frozen=True)
 class Requests:
-    """How devices tell the base station of their urgency, in every slot.
+    """How devices tell the base station of their urgency.
 
     Args:
         bits: of a request.
         smallest: urgency below which a device says that it needs nothing, as a part of the actuator's range.
         full_scale: urgency of the last code; the codes between are even in decibels.
         delay: slots until a request counts.
+        change: codes by which a device's urgency has to differ from what it said last, 0 after an update, before it
+            says so, in a request that also names it: ceil(log2 of the devices) bits more. None: everybody, every slot.
     """
 
     bits: int = 4
     smallest: float = 0.005
     full_scale: float = 1.0
     delay: int = 1
+    change: int | None = None
 
     def __post_init__(self) -> None:
         self.code()
         at_least(0, delay=self.delay)
+        if self.change is not None:
+            at_least(1, change=self.change)
 
     def code(self) -> UrgencyCode:
         """The code of a request."""

@@ -59,12 +59,22 @@ class UrgencyCode:
             raise ValueError("an urgency is negative or not a number")
         # a level reaches itself in spite of rounding
         levels = self.levels().to(urgency.device) * (1 - 1e-12)
-        return torch.bucketize(urgency.to(torch.float64), levels, right=True) - 1
+        return torch.bucketize(urgency.to(torch.float64).contiguous(), levels, right=True) - 1
 
     def decode(self, code: Tensor) -> Tensor:
         """Urgency that the base station reads, float64."""
         return self.levels().to(code.device)[code]
 
-    def signalling_bits(self, requests: Tensor) -> Tensor:
-        """Bits spent by each device, int64: ``bits`` where ``requests`` [..., I] bool is set."""
-        return self.bits * requests.to(torch.int64)
+    def changed(self, urgency: Tensor, said: Tensor, by: int) -> Tensor:
+        """Whether the code of an urgency is at least ``by`` codes away from that of what was ``said``, bool."""
+        return (self.encode(urgency) - self.encode(said)).abs() >= by
+
+    def signalling_bits(self, requests: Tensor, named: bool = False) -> Tensor:
+        """Bits spent by each device, int64: ``bits`` where ``requests`` [..., I] bool is set.
+
+        Args:
+            requests: who says something.
+            named: a request has no place of its own in the uplink, and names its device in ceil(log2 I) more bits.
+        """
+        name = (requests.shape[-1] - 1).bit_length() if named else 0
+        return (self.bits + name) * requests.to(torch.int64)

@@ -81,7 +81,8 @@ class Urgency(SlotTransform):
     its claim. ``urgency`` [*B] float64 is what the base station has been told of it: the code's level, ``delay`` slots
     late, and 0 once an update has arrived since. ``signalling_bits`` [*B] int64 are spent by every device in every
     slot, whether it needs anything or not, since its place in the uplink is reserved; with ``first_contact`` until an
-    update of its episode has arrived, after which it says nothing.
+    update of its episode has arrived, after which it says nothing. With ``change`` they are spent where something is
+    said, and the base station keeps to what it heard last; that all requests are heard is taken for granted.
 
     Args:
         twin: the controller, as the device knows it.
@@ -89,6 +90,11 @@ class Urgency(SlotTransform):
         code: of a request; None sends the number itself and counts no bits.
         delay: slots from a request to the decision that heeds it.
         first_contact: only devices that were not heard yet make requests.
+        change: codes by which a device's urgency has to differ from what it said last, 0 after an update, before it
+            says so; a request then names its device. None: every device has a place of its own in every slot.
+
+    Raises:
+        ValueError: a delay below 0, a change below 1 code, or a change without a code.
     """
 
     def __init__(
@@ -98,27 +104,32 @@ class Urgency(SlotTransform):
         code: UrgencyCode | None = None,
         delay: int = 0,
         first_contact: bool = False,
+        change: int | None = None,
     ):
         if delay < 0:
             raise ValueError(f"delay {delay} must be at least 0 slots")
-        self.carried = ("urgency_requests",) * (delay > 0) + ("urgency_asks",) * first_contact
+        if change is not None and (code is None or change < 1):
+            raise ValueError(f"change {change} must be at least 1 code of a request, and there has to be a code")
+        # of the slots on the way, and where only changes are said, at least of the slot before
+        self.remembered = max(delay, int(change is not None))
+        self.carried = ("urgency_requests",) * (self.remembered > 0) + ("urgency_asks",) * first_contact
         self.first_contact = first_contact
         self.previous_keys = ("delivered", *twin.reads())
         super().__init__(in_keys=[in_key], out_keys=["urgency", "true_error", "signalling_bits", *self.carried])
-        self.twin, self.code, self.delay = twin, code, delay
+        self.twin, self.code, self.delay, self.change = twin, code, delay, change
 
     def _specs(self, incoming: Composite) -> dict[str, TensorSpec]:
         self._seen(incoming)
         specs = {key: number_spec(incoming, dtype=torch.float64) for key in ("urgency", "true_error")}
         specs["signalling_bits"] = number_spec(incoming, dtype=torch.int64)
-        if self.delay:
-            specs["urgency_requests"] = number_spec(incoming, self.delay, dtype=torch.float64)
+        if self.remembered:
+            specs["urgency_requests"] = number_spec(incoming, self.remembered, dtype=torch.float64)
         if self.first_contact:
             specs["urgency_asks"] = flag_spec(incoming)
         return specs
 
     def _begin(self, before: Values, current: TensorDictBase) -> Values:
-        shape = (*current.batch_size, self.delay)
+        shape = (*current.batch_size, self.remembered)
         empty = torch.zeros(shape, dtype=torch.float64, device=current.device)
         return {"urgency_requests": empty, "urgency_asks": _everyone(current)}
 
@@ -131,19 +142,27 @@ class Urgency(SlotTransform):
         delivered, asks = previous["delivered"], _everyone(current)
         if self.first_contact:
             asks = previous["urgency_asks"] if delivered is None else previous["urgency_asks"] & ~delivered
-        said = error if self.code is None else self.code.decode(self.code.encode(error))
-        said = said.masked_fill(~asks, 0.0)
-        bits = torch.zeros_like(asks, dtype=torch.int64) if self.code is None else self.code.signalling_bits(asks)
+        requests = previous["urgency_requests"] if self.remembered else None
+        if requests is not None and delivered is not None:
+            requests = requests.masked_fill(delivered.unsqueeze(-1), 0.0)
+        said, bits = self._request(error, asks, requests)
         values = {"true_error": error, "signalling_bits": bits}
         if self.first_contact:
             values["urgency_asks"] = asks
-        if not self.delay:
-            return values | {"urgency": said}
-        requests = previous["urgency_requests"]
-        if delivered is not None:
-            requests = requests.masked_fill(delivered.unsqueeze(-1), 0.0)
-        values["urgency_requests"] = torch.cat((requests[..., 1:], said.unsqueeze(-1)), -1)
-        return values | {"urgency": requests[..., 0]}
+        if requests is not None:
+            values["urgency_requests"] = torch.cat((requests[..., 1:], said.unsqueeze(-1)), -1)
+        return values | {"urgency": said if requests is None or not self.delay else requests[..., 0]}
+
+    def _request(self, error: Tensor, asks: Tensor, requests: Tensor | None) -> tuple[Tensor, Tensor]:
+        """What the base station will know of each device once this slot's requests have reached it, and their bits."""
+        if self.code is None:
+            return error.masked_fill(~asks, 0.0), torch.zeros_like(asks, dtype=torch.int64)
+        said = self.code.decode(self.code.encode(error))
+        if requests is not None and self.change is not None:
+            heard = requests[..., -1]
+            asks = asks & self.code.changed(error, heard, self.change)
+            return torch.where(asks, said, heard), self.code.signalling_bits(asks, named=True)
+        return said.masked_fill(~asks, 0.0), self.code.signalling_bits(asks)
 
     def _seen(self, container: Composite | TensorDictBase) -> TensorSpec | Tensor:
         return require_key(container, self.in_keys[0], "Urgency", "a Camera and an Encode")
