@@ -103,7 +103,7 @@ def test_experts(tmp_path):
 @pytest.mark.slow
 def test_hierarchy(tmp_path):
     small = ["--steps", "2", "--training_seeds", "2", "--seeds", "2", "--starts", "2", "--sizes", "2", "3"]
-    small += ["--episodes", "2", "1", "--work", str(tmp_path / "work"), "--output", str(tmp_path)]
+    small += ["--fleet_seeds", "1", "--episodes", "2", "1", "--work", str(tmp_path / "work"), "--output", str(tmp_path)]
     command = [sys.executable, str(HOME / "hierarchy.py"), *small]
     subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
     result = json.loads((tmp_path / "hierarchy.json").read_text())

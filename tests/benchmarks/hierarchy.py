@@ -176,13 +176,13 @@ def spread(values: list[float]) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--model", default="tsjepa-cartpole-d16", help="an entry of the zoo")
-    parser.add_argument("--steps", type=int, default=600, help="of a predictor")
+    parser.add_argument("--steps", type=int, default=20000, help="of a predictor")
     parser.add_argument("--training_seeds", type=int, default=3)
-    parser.add_argument("--seeds", type=int, default=2, help="of the evaluation")
-    parser.add_argument("--starts", type=int, default=30, help="per seed")
-    parser.add_argument("--sizes", type=int, nargs="+", default=[40, 70, 100], help="of the fleets")
-    parser.add_argument("--fleet_seeds", type=int, default=1)
-    parser.add_argument("--episodes", type=int, nargs=2, default=[150, 20], help="for training and for its errors")
+    parser.add_argument("--seeds", type=int, default=5, help="of the evaluation")
+    parser.add_argument("--starts", type=int, default=20, help="per seed")
+    parser.add_argument("--sizes", type=int, nargs="+", default=[60, 100, 140], help="of the fleets")
+    parser.add_argument("--fleet_seeds", type=int, default=5)
+    parser.add_argument("--episodes", type=int, nargs=2, default=[1500, 40], help="for training and for its errors")
     parser.add_argument("--work", type=Path, default=Path("runs/hierarchy"), help="data set, models and journal")
     parser.add_argument("--output", type=Path, default=RESULTS, help="folder of the results")
     arguments = parser.parse_args()
@@ -212,11 +212,10 @@ def main() -> None:
             row["fleet"] = devices(model, arguments.sizes, arguments.fleet_seeds)
         journal.add(key, row)
         print(json.dumps(row), flush=True)
-    command = f"python tests/benchmarks/hierarchy.py --seeds {arguments.seeds} --starts {arguments.starts}"
     made = {"made_by": provenance(), "machine": machine(), "model_sha256": model.entry_sha256}
     rows = {key: journal.done[key] for key in (f"{kind}, {seed}" for kind, seed in todo)}
     write_text(arguments.output / "hierarchy.json", json.dumps(made | {"rows": rows}, indent=1) + "\n")
-    write_text(arguments.output / "hierarchy.md", table(rows, command))
+    write_text(arguments.output / "hierarchy.md", table(rows, f"python tests/benchmarks/{made['made_by']['command']}"))
 
 
 if __name__ == "__main__":
