@@ -68,6 +68,7 @@ def observed(entry: str) -> Made:
 
 
 SUPERVISED = (*LARGE_DATA, "--trainer.max_epochs", "9", "--model.init_args.learning_rate", "2e-3")
+GENERATIVE = (*LARGE_DATA, "--trainer.max_epochs", "6", "--trainer.check_val_every_n_epoch", "2")
 PAPER_20_MS = ("--data.init_args.path", "data/paper-20ms", "--data.init_args.collect", "recipes/zoo/paper-data.yaml")
 ENTRIES: dict[str, Made] = {
     "tsjepa-cartpole": of_width(256),
@@ -79,7 +80,7 @@ ENTRIES: dict[str, Made] = {
     "tsjepa-cartpole-d16-observer": observed("tsjepa-cartpole-d16"),
     "supervised-cartpole-k2": Made((Fit("supervised", (), SUPERVISED),)),
     "supervised-cartpole-k4": Made((Fit("supervised", ("supervised-k4",), SUPERVISED),)),
-    "autoencoder-cartpole": Made((Fit("autoencoder", (), LARGE_DATA),)),
+    "autoencoder-cartpole": Made((Fit("autoencoder", (), GENERATIVE),)),
     "tsjepa-cartpole-paper": Made(
         (Fit("jepa", ("paper/jepa",), PAPER_20_MS), Fit("actor", ("paper/actor",), PAPER_20_MS)), "data/paper-20ms"
     ),
