@@ -204,6 +204,24 @@ def test_a_controller_learns_from_what_it_hears():
     assert record.updates.sum() > 20
 
 
+def test_of_a_held_command_whoever_was_not_heard_is_unheard():
+    end = HoldCommand("hold")
+    expert = lambda tensordict: tensordict.set("action", -law(tensordict["received"]) * RANGE)  # noqa: E731
+    gain = ExpectedGain(twin(predict=None, holds=True))
+    data = rollout(gain, Scheduler("expected_urgency", 1), end=end, with_policy=expert, lengths=[40] * 5 + [7])
+    for device in range(6):
+        heard, age = False, 1
+        for slot in range(40):
+            if device == 5 and slot % 7 == 0:
+                heard, age = False, 1
+            elif slot:
+                heard, age = (
+                    heard or bool(data["delivered"][device, slot - 1]),
+                    data["age_of_information"][device, slot - 1],
+                )
+            assert data["error_situation"][device, slot] == situation(torch.as_tensor(age), torch.tensor(heard))
+
+
 def chain_of(name):
     if name == "expected_urgency":
         return ExpectedGain(twin(predict=wrong_model)), Scheduler(name, 6)

@@ -9,7 +9,7 @@ from torch import nn
 
 from tsjepa.envs import Radio, make_env
 from tsjepa.envs.need import cost_of_age
-from tsjepa.envs.settings import Requests
+from tsjepa.envs.settings import Downlink, Requests
 from tsjepa.evaluation.fleet_summary import summary
 from tsjepa.evaluation.rollouts import Loop, run
 from tsjepa.plants import CartPole, Mixed, Pendulum, Reacher
@@ -115,6 +115,37 @@ def test_a_function_of_the_users_own_is_told_the_urgency_where_requests_are_set(
     run(replace(LOOP, scheduler=scheduler, slots=2), 0)
     run(replace(LOOP, scheduler=scheduler, slots=2, radio=replace(LOOP.radio, requests=Requests())), 0)
     assert [value is None for value in told] == [True] * 3 + [False] * 3
+
+
+def test_a_scheduler_that_a_recipe_names_by_its_path_is_told_too():
+    radio = replace(LOOP.radio, requests=Requests())
+    by_path, by_name = (
+        run(replace(LOOP, scheduler=name, radio=radio), 0) for name in ("tsjepa.radio.need.urgency", "urgency")
+    )
+    assert torch.equal(by_path.scheduled, by_name.scheduled) and by_name.scheduled.any()
+
+
+@pytest.mark.parametrize("acknowledged", [True, False])
+def test_a_device_runs_the_controller_in_step_whatever_becomes_of_its_commands(acknowledged):
+    """The belief of a slot without a delivery is the prediction that the device had to know in front of it."""
+    radio = replace(LOOP.radio, downlink=Downlink(loss=0.5, acknowledged=acknowledged))
+    loop = replace(LOOP, scheduler="genie", controller="linear", radio=radio)
+    keys = ("true_error", "state", "belief", "informed", "delivered", "action")
+    seen, _ = watched(loop, *keys)
+    wanted, told = (NOISY.experts()["expert"].unsaturated(seen[key]) / 40.0 for key in ("state", "belief"))
+    silent = seen["informed"] & ~seen["delivered"] & ~torch.as_tensor(NOISY.failed(seen["state"]))
+    error = (wanted - told).abs()[..., 0].double()
+    torch.testing.assert_close(seen["true_error"][silent], error[silent], atol=1e-6, rtol=1e-5)
+    assert silent.sum() > 20 and error[silent].max() > 0.01
+
+
+def test_a_base_station_that_heard_of_no_delivery_keeps_the_request():
+    seen, outcome = watched(
+        replace(LOOP, scheduler="urgency", radio=replace(LOOP.radio, ack_loss=1.0)), "urgency", "true_error"
+    )
+    code = Requests().code()
+    torch.testing.assert_close(seen["urgency"][1:], code.decode(code.encode(seen["true_error"][:-1])))
+    assert (seen["urgency"][1:][outcome.delivered[:-1]] > 0).any()
 
 
 def test_what_differs_between_devices_is_dealt_out_in_turn():

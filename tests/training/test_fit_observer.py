@@ -1,15 +1,17 @@
 """An observer learns Kalman's gain where that is known; batches repeat; what it cannot be fitted to is named."""
 
 import math
+from types import SimpleNamespace
 
 import pytest
 import tiny_controller
+import tiny_data
 import torch
 from tensordict import TensorDict
 
 from tsjepa.models import HierarchicalPredictor, Observer, entries
 from tsjepa.training.observer import FitObserver, watched_loss
-from tsjepa.training.observer_data import EpochSteps, Watches
+from tsjepa.training.observer_data import EpochSteps, WatchedTrajectories, Watches
 
 
 class Turn(torch.nn.Module):
@@ -95,10 +97,42 @@ def test_the_steps_of_an_epoch_name_it():
 
 
 def test_only_gain_and_predictor_learn_and_the_gain_does_not_decay(tmp_path):
-    module = FitObserver(str(entries.save(tiny_controller.tiny(), tmp_path / "model")))
+    model = tiny_controller.tiny()
+    model.metrics = {"closed_loop": []}
+    module = FitObserver(str(entries.save(model, tmp_path / "model", card="of the model without an observer")))
     learning = {name.split(".")[1] for name, parameter in module.named_parameters() if parameter.requires_grad}
     assert learning == {"observer", "predictor"}
     assert module.controller().metrics is None and module.controller().card == ""
+    module.trainer = SimpleNamespace(estimated_stepping_batches=10)
+    gain, other = module.controller().observer.correction.weight, []
+    for group in module.configure_optimizers()["optimizer"].param_groups:
+        decays = group["weight_decay"] > 0
+        assert not decays or all(parameter is not gain for parameter in group["params"])
+        other += group["params"] if decays else []
+    assert other
+
+
+@pytest.mark.parametrize(("slots", "fits"), [(24, True), (18, False)])
+def test_rows_have_to_fit_into_a_split_that_is_watched_and_begun_in(tmp_path, slots, fits):
+    path = str(tiny_data.write(tmp_path / "data", slots=slots, train=3, test=2))
+    data = WatchedTrajectories(path, starts="train", batch_size=8, steps_per_epoch=3, validation="test")
+    module = SimpleNamespace(model=tiny_controller.tiny())
+    data.trainer = SimpleNamespace(
+        lightning_module=module, strategy=SimpleNamespace(root_device="cpu"), global_rank=0, world_size=1
+    )
+    if not fits:
+        with pytest.raises(ValueError, match="20 slots"):
+            data.setup()
+        return
+    data.setup()
+    assert len(list(data.train_dataloader())) == 3
+    (batch,) = data.val_dataloader()
+    assert batch.shape == (2, slots)
+
+
+def test_a_share_is_one():
+    with pytest.raises(ValueError, match=r"start_share is 1\.2"):
+        WatchedTrajectories("data", start_share=1.2)
 
 
 def strided() -> torch.nn.Module:

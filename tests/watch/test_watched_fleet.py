@@ -9,6 +9,7 @@ import torch
 
 from tsjepa.envs import Radio
 from tsjepa.evaluation.rollouts import Loop
+from tsjepa.models import Observer
 from tsjepa.plants import CartPole
 from tsjepa.watch.fleet import DOWN_S, PUSH_SLOTS, RunningFleet
 from tsjepa.watch.setting import Setting
@@ -42,6 +43,17 @@ def test_machines_and_beliefs_go_on_when_the_setting_changes(devices):
         SETTING, devices=devices, snr_db=5.0, scheduler="max_age", codec="fp16"
     )
     assert run(running, 2).snapshot().slot == 7
+
+
+def test_what_devices_remember_goes_on_with_them():
+    model = tiny_controller.tiny()
+    model.observer = Observer(model.embedding_dim, gain=0.6)
+    running = run(fleet(model), 5)
+    before = running.now.clone()
+    running.change(replace(SETTING, snr_db=5.0))
+    assert torch.equal(running.now["device_belief"], before["device_belief"])
+    first = fleet(model).now["device_belief"]
+    assert not torch.allclose(first, before["device_belief"])
 
 
 def test_the_radio_is_as_the_sliders_say():

@@ -49,9 +49,16 @@ def untrained(model: nn.Module) -> nn.Module:
     return with_ranges(model.eval())
 
 
+def observed(model: nn.Module) -> nn.Module:
+    """The model with an observer that is not trained."""
+    model.observer = Observer(model.embedding_dim, gain=0.6)
+    return model
+
+
 MODELS = {
     "tiny": lambda: untrained(tiny_controller.tiny()),
     "tiny with set-points": lambda: untrained(tiny_controller.tiny(set_points=1)),
+    "tiny with an observer": lambda: untrained(observed(tiny_controller.tiny())),
     "tiny autoencoder": lambda: untrained(tiny_controller.tiny_autoencoder()),
     "shipped": lambda: with_ranges(entries.load(SHIPPED)),
     "differences": lambda: with_ranges(entries.load("tsjepa-cartpole-d16")),
@@ -59,7 +66,12 @@ MODELS = {
 }
 CASES = [
     pytest.param(("tiny", "torch_export"), id="tiny-torch_export"),
-    *(pytest.param((name, "onnx"), id=f"{name}-onnx", marks=pytest.mark.slow) for name in MODELS),
+    # a device with an observer takes and gives more: it has a test of its own
+    *(
+        pytest.param((name, "onnx"), id=f"{name}-onnx", marks=pytest.mark.slow)
+        for name in MODELS
+        if name != "tiny with an observer"
+    ),
 ]
 
 
@@ -174,14 +186,14 @@ def test_the_files_hold_the_weights_they_need_and_nothing_of_this_machine(deploy
             assert 4 * values <= len(content) <= 4 * values + 400_000
 
 
-@pytest.mark.parametrize("name", ["tiny", "tiny with set-points", "tiny autoencoder"])
+@pytest.mark.parametrize("name", ["tiny", "tiny with set-points", "tiny with an observer", "tiny autoencoder"])
 def test_a_graph_holds_the_parts_that_it_uses_and_no_others(name):
     model = MODELS[name]()
-    kept = {"encoder": set(), "receive": set(), "predict": set()}
+    kept = {"receive": set(), "predict": set()}
     own = {parameter.data_ptr(): part.split(".")[0] for part, parameter in model.named_parameters()}
     for part, graph in graphs(model).items():
         kept[part] = {own[parameter.data_ptr()] for parameter in graph.module.parameters()}
-    assert kept["device"] == {"encoder"}
+    assert kept["device"] == {"encoder"} | ({"predictor", "observer"} if "observer" in name else set())
     act = {"decoder", "estimator"} if name == "tiny autoencoder" else {"actor"}
     assert kept["receive"] == act
     assert kept["predict"] == (act | {"predictor"} if model.has_predictor else set())
@@ -209,8 +221,7 @@ def test_the_description_says_what_goes_in_and_comes_out(deployment):
 
 
 def test_a_device_that_remembers_sends_its_belief(tmp_path):
-    model = MODELS["tiny"]()
-    model.observer = Observer(model.embedding_dim, gain=0.6)
+    model = MODELS["tiny with an observer"]()
     deploy(str(entries.save(model, tmp_path / "model")), str(tmp_path / "graphs"), "torch_export")
     said = json.loads((tmp_path / "graphs" / "deployment.json").read_text())["graphs"]["device"]
     d = model.embedding_dim

@@ -175,6 +175,10 @@ def test_an_entry_after_another_one_has_that_ones_fits_made_first(program):
     assert f"jepa 7 s with collecting the data, actor 7 s, {collected}; evaluate 7 s, on" in exported["--trained_with"]
     ran = program()
     assert [command for command, _ in ran] == ["evaluate", "export"] and "--decoder" not in ran[-1][1]
+    assert program(name=f"{NAME}-observer") == []
+    entries.save(tiny_controller.tiny(9), f"runs/zoo/{NAME}/seed0/actor/model")
+    with pytest.raises(ValueError, match=f"observer has started from another {NAME} than there is: move"):
+        program(name=f"{NAME}-observer")
 
 
 @pytest.mark.slow

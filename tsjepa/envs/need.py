@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import torch
 from torch import Tensor, nn
@@ -9,6 +11,7 @@ from torch import Tensor, nn
 from tsjepa.envs.payload import sends_frames
 from tsjepa.envs.settings import Radio, Requests
 from tsjepa.envs.transforms import (
+    Actuator,
     AgeCost,
     Camera,
     Encode,
@@ -24,7 +27,7 @@ from tsjepa.envs.weights import at_weights
 from tsjepa.models import Controller
 from tsjepa.plants.plant import Plant
 from tsjepa.radio.cost import surviving_cost_table
-from tsjepa.radio.schedulers import SchedulerFunction
+from tsjepa.radio.schedulers import SCHEDULERS, SchedulerFunction
 from tsjepa.support.deal import deal
 
 SAID, FIRST, EXPECTED, TRUE = "urgency", "first_contact", "expected_urgency", "genie"
@@ -44,8 +47,8 @@ def watched(
 ) -> list[nn.Module]:
     """The chain with what its scheduler needs in front of it; the same chain where it needs nothing of the kind.
 
-    Devices watch all the time for the schedulers "urgency", "first_contact" and "genie", and for a function where
-    ``radio.requests`` is given: then camera and encoder stand before the scheduler.
+    Devices watch all the time for the schedulers "urgency", "first_contact" and "genie", and for one of the user's own
+    where ``radio.requests`` is given: then camera and encoder stand before the scheduler.
 
     Args:
         chain: from the channel to the far end.
@@ -59,10 +62,12 @@ def watched(
     if scheduler in BY_COST:
         failed, age = twin_of(chain[-1], plant, controller).failed, chain[place].outcome_keys[1]
         return [*chain[:place], AgeCost(*cost_of_age(plant, num_devices), failed, received, age), *chain[place:]]
-    asks = radio.requests is not None if callable(scheduler) else scheduler in NAMES
+    asks = scheduler in NAMES if scheduler in SCHEDULERS else radio.requests is not None
     if not asks:
         return chain
     twin = twin_of(chain[-1], plant, controller)
+    if any(isinstance(part, Actuator) and not part.acknowledged for part in chain):
+        twin = replace(twin, action_key="sent_command")
     if scheduler == EXPECTED:
         return [*chain[:place], ExpectedGain(twin, received), *chain[place:]]
     sees = [part for part in chain if isinstance(part, (Camera, Observe)) or _encodes_pixels(part)]
@@ -77,7 +82,8 @@ def watched(
         says = Urgency(twin, key)
     else:
         first = scheduler == FIRST
-        says = Urgency(twin, key, requests.code(), requests.delay, first_contact=first, change=requests.change)
+        code, outcome = requests.code(), chain[place].outcome_keys[0]
+        says = Urgency(twin, key, code, requests.delay, first, requests.change, outcome)
     links, rest = ([part for part in half if part not in sees] for half in (chain[:place], chain[place:]))
     return [*links, *sees, says, *rest]
 

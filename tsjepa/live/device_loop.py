@@ -96,6 +96,7 @@ class Device:
 
     def begin_slot(self) -> None:
         """Looks, encodes and sends, where this is a slot of an update; a device that remembers encodes in every one."""
+        applied = self.applied  # in the slot before; what is in force in this one has not moved the machine yet
         if self.machine.at_once:
             self.apply()
         with self.stages["capture"].timed():
@@ -105,10 +106,8 @@ class Device:
         if not updates and not self.belief.size:
             return
         with self.stages["encode"].timed():
-            payloads = self.encode(frames)
-        if not updates:
-            return
-        for row, number in enumerate(self.links):
+            payloads = self.encode(frames, applied)
+        for row, number in enumerate(self.links if updates else ()):
             with self.stages["send"].timed():
                 self.send(number, payloads[row].tobytes())
         self.late += time.monotonic() > self.metronome.begins(self.slot + 1)
@@ -117,14 +116,24 @@ class Device:
         """Begins an episode: a device that remembers believes what the warm-up has shown, under the command at rest."""
         self.applied = np.repeat(self.graphs.rest[None], len(self.links), 0)
         self.belief = np.zeros((len(self.links), self.graphs.belief_dim), np.float32)  # zeros are no belief yet
+        self.believed = self.slot - 1  # the slot of the belief
         for frames in self.machine.earlier() if self.belief.size else ():
             _, self.belief = self.graphs.observe(frames, self.belief, self.applied)
 
-    def encode(self, frames: np.ndarray) -> np.ndarray:
-        """Payloads uint8 [n, bytes]; a device that remembers makes its belief of this slot."""
+    def encode(self, frames: np.ndarray, applied: np.ndarray) -> np.ndarray:
+        """Payloads uint8 [n, bytes]; a device that remembers makes its belief of this slot.
+
+        A belief of longer ago than the slot before is dropped: one command does not say what moved the machine since.
+
+        Args:
+            frames: uint8 [n, kappa, H, W, 3].
+            applied: [n, m], in the slot before.
+        """
         if not self.belief.size:
             return self.graphs.encode(frames)
-        payloads, self.belief = self.graphs.observe(frames, self.belief, self.applied)
+        belief = self.belief if self.slot - self.believed == 1 else np.zeros_like(self.belief)
+        payloads, self.belief = self.graphs.observe(frames, belief, applied)
+        self.believed = self.slot
         return payloads
 
     def send(self, number: int, payload: bytes) -> None:

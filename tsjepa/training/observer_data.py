@@ -9,7 +9,7 @@ from tensordict import TensorDict
 from torch.utils.data import DataLoader, Sampler
 
 from tsjepa.data.module import Trajectories, as_is
-from tsjepa.support.checks import at_least
+from tsjepa.support.checks import at_least, within
 from tsjepa.support.seeds import derive, run_seed
 from tsjepa.training.controllers import check_sizes
 from tsjepa.training.embeddings import embed_split
@@ -91,6 +91,7 @@ class WatchedTrajectories(Trajectories):
         slots: the longest that a device is watched before it is predicted; each step draws its own from 1 on.
         horizon: slots predicted after it.
         steps_per_epoch: of training.
+        validation: split on whose trajectories predictions from beliefs are compared with those from embeddings.
 
     Raises:
         ValueError: rows that do not fit into the trajectories, or do not divide among the processes.
@@ -108,19 +109,22 @@ class WatchedTrajectories(Trajectories):
         horizon: int = 10,
         steps_per_epoch: int = 250,
         episodes: int | None = None,
+        validation: str = "validation",
     ) -> None:
         super().__init__(path, collect, splits=splits, episodes=episodes)
+        within(0, 1, start_share=start_share)
         at_least(1, batch_size=batch_size, slots=slots, horizon=horizon, steps_per_epoch=steps_per_epoch)
         self.starts, self.batch_size, self.starting = starts, batch_size, round(start_share * batch_size)
         self.slots, self.horizon, self.steps_per_epoch = slots, horizon, steps_per_epoch
+        self.validation = validation
 
     def setup(self, stage: str | None = None) -> None:
         super().setup(stage)
         model = self.trainer.lightning_module.model.to(self.trainer.strategy.root_device)
         check_sizes(model.encoder, model.predictor, self.spec)
-        names = dict.fromkeys((*self.splits, self.starts, "validation"))
+        names = dict.fromkeys((*self.splits, self.starts, self.validation))
         for name in names:
-            ahead = self.horizon if name == self.starts else self.slots + self.horizon
+            ahead = self.slots + self.horizon if name in self.splits else self.horizon
             check_horizon(ahead, self.split(name).shape[1] - model.frame_history + 1)
         self.embedded = {name: embed_split(model.encoder, self.split(name), model.frame_spacing) for name in names}
 
@@ -135,7 +139,7 @@ class WatchedTrajectories(Trajectories):
         return DataLoader(data, sampler=EpochSteps(self.steps_per_epoch), batch_size=None, collate_fn=as_is)
 
     def val_dataloader(self) -> DataLoader:
-        return DataLoader([self.embedded["validation"]], batch_size=None, collate_fn=as_is)
+        return DataLoader([self.embedded[self.validation]], batch_size=None, collate_fn=as_is)
 
     def transfer_batch_to_device(self, batch: Batch, device: torch.device, dataloader_idx: int) -> Batch:
         return {name: part.to(device) for name, part in batch.items()} if isinstance(batch, dict) else batch.to(device)

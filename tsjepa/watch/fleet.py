@@ -17,7 +17,8 @@ MEMORY_S = 2.0  # time constant of the means that are shown
 PUSH_SLOTS = 1.5  # of the actuator's largest command: a blow that most controllers survive
 # of the machines and of what the far end knows of them; channels and queues begin anew with a new radio
 KEPT = ("physics_state", "state", "reference", "scene", "episode", "slot")
-KEPT += ("belief", "informed", "received", "held_command", "age_of_information")
+KEPT += ("belief", "informed", "received", "held_command", "age_of_information", "device_belief")
+KEPT += ("belief_trail", "recent_commands", "predicted_slots")  # of a predictor of several strides
 
 
 class RunningFleet:

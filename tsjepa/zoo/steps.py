@@ -50,9 +50,8 @@ class Made:
 
 def of_width(dim: int) -> Made:
     """TS-JEPA for the cart-pole with embeddings of ``dim`` numbers."""
-    options = [word for part in ("encoder", "predictor") for word in (f"--model.init_args.{part}.init_args", str(dim))]
-    options = [word + ".embedding_dim" if word.startswith("--") else word for word in options]
-    return Made((Fit("jepa", ("zoo/jepa",), tuple(options)), Fit("actor", ("zoo/actor",))))
+    sized = [(f"--model.init_args.{part}.init_args.embedding_dim", str(dim)) for part in ("encoder", "predictor")]
+    return Made((Fit("jepa", ("zoo/jepa",), (*sized[0], *sized[1])), Fit("actor", ("zoo/actor",))))
 
 
 def of_plant(plant: str) -> Made:

@@ -72,31 +72,40 @@ def train(name: str, seeds: int = 1) -> Path:
 
 
 def fitted(made: Made, home: str, seed: int) -> dict[str, dict]:
-    """All fits of a training seed, those that are done before left out; how long each took, and where."""
+    """All fits of a training seed, those that are done before left out; how long each took, and where.
+
+    Raises:
+        ValueError: a fit that is done has started from other weights than ``made.after`` has.
+    """
     folder = Path(home)
     folder.mkdir(parents=True, exist_ok=True)
-    earlier = {}
+    earlier, first = {}, None
     if made.after is not None:
         base = before(made, home)
         Path(base).parent.mkdir(parents=True, exist_ok=True)
         with exclusive(Path(base).parent):
             earlier = fitted(ENTRIES[made.after], base, seed)
+        first = entries.fingerprint(f"{run_of(ENTRIES[made.after], base)}/model")
     steps = fits(made, home, seed)
     journal = Journal(folder / "steps.journal", steps)
     for fit, (step, words) in zip(made.fits, steps.items(), strict=True):
+        if step in journal.done and journal.done[step]["first"] != first:
+            raise ValueError(
+                f"{home}/{step} has started from another {made.after} than there is: move {home} away and start again."
+            )
         begun = (folder / step / "checkpoints" / "last.ckpt").is_file()
         collects = not Path(fit.data or made.data).is_dir()
-        do(journal, step, [*words, "--ckpt_path", "last"] if begun else words, collects)
+        do(journal, step, [*words, "--ckpt_path", "last"] if begun else words, collects=collects, first=first)
     return earlier | journal.done
 
 
-def do(journal: Journal, step: str, words: list[str], collects: bool = False) -> None:
-    """Runs the command of a step that is not done yet; ``collects`` says that it collects its data first."""
+def do(journal: Journal, step: str, words: list[str], **notes: object) -> None:
+    """Runs the command of a step that is not done yet, and notes its time, the machine and ``notes``."""
     if step in journal.done:
         where = journal.path.parent.as_posix()
         print(f"{where}, {step}: done before, in {journal.done[step]['seconds']:.0f} s.", flush=True)
     else:
-        journal.add(step, {"seconds": run(words), "machine": machine(), "collects": collects})
+        journal.add(step, {"seconds": run(words), "machine": machine(), **notes})
 
 
 def shipped(made: Made, homes: list[str], journal: Journal) -> int:

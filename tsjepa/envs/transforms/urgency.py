@@ -30,6 +30,8 @@ class Twin:
         rest: [m], the command at rest, as a part of the actuator's range.
         action_range: [m], the actuator's, in its own units.
         holds: whether the command is held, without ``predict``.
+        action_key: of the command that the controller takes for applied: "action", or "sent_command" where an
+            :class:`Actuator` gave the plant another one and nobody told the controller.
     """
 
     law: Law
@@ -38,31 +40,29 @@ class Twin:
     rest: Tensor
     action_range: Tensor
     holds: bool = False
+    action_key: str = "action"
 
     def reads(self) -> tuple[str, ...]:
         """Keys of the slot before that :meth:`command` needs."""
-        return ("action",) if self.predict is None else ("action", "belief", "informed")
+        return (self.action_key,) if self.predict is None else (self.action_key, "belief", "informed")
 
-    def command(self, previous: Values, current: TensorDictBase) -> tuple[Tensor, Tensor, Tensor | None]:
+    def command(self, previous: Values, current: TensorDictBase) -> tuple[Tensor, Tensor | None]:
         """What the controller will command unless it hears of the device, as parts of the actuator's range [*B, m].
 
-        Also whether it has ever heard of the device, [*B] bool, and what it believes of it, None of a held command.
+        Also what it believes of the device, None of a held command.
         """
-        shape, action = current.batch_size, previous["action"]
-        rest = self.rest.to(current.device).expand(*shape, -1)
-        never = torch.zeros(shape, dtype=torch.bool, device=current.device)
+        action, rest = previous[self.action_key], self.rest.to(current.device).expand(*current.batch_size, -1)
         if action is None or (self.predict is None and not self.holds):
-            return rest, never, None
+            return rest, None
         if self.predict is None:
-            return action / self.action_range.to(action), ~never, None
+            return action / self.action_range.to(action), None
         belief = self.predict(previous["belief"], action).to(torch.float32)
-        informed = previous["informed"]
         believed = self.law(belief, current.get("reference", None))
-        return torch.where(informed.unsqueeze(-1), believed, rest), informed, belief
+        return torch.where(previous["informed"].unsqueeze(-1), believed, rest), belief
 
 
-def _everyone(current: TensorDictBase) -> Tensor:
-    return torch.ones(current.batch_size, dtype=torch.bool, device=current.device)
+def _flag(current: TensorDictBase, value: bool) -> Tensor:
+    return torch.full(current.batch_size, value, dtype=torch.bool, device=current.device)
 
 
 def distance(command: Tensor, other: Tensor) -> Tensor:
@@ -79,7 +79,7 @@ class Urgency(SlotTransform):
     Writes ``true_error`` [*B] float64, how far the command would change if the controller were told now, as a part of
     the actuator's range; of a device that was never heard, how far from rest; 0 of one that has failed, which gives up
     its claim. ``urgency`` [*B] float64 is what the base station has been told of it: the code's level, ``delay`` slots
-    late, and 0 once an update has arrived since. ``signalling_bits`` [*B] int64 are spent by every device in every
+    late, and 0 once it knows of an update since. ``signalling_bits`` [*B] int64 are spent by every device in every
     slot, whether it needs anything or not, since its place in the uplink is reserved; with ``first_contact`` until an
     update of its episode has arrived, after which it says nothing. With ``change`` they are spent where something is
     said, and the base station keeps to what it heard last; that all requests are heard is taken for granted.
@@ -92,6 +92,7 @@ class Urgency(SlotTransform):
         first_contact: only devices that were not heard yet make requests.
         change: codes by which a device's urgency has to differ from what it said last, 0 after an update, before it
             says so; a request then names its device. None: every device has a place of its own in every slot.
+        outcome_key: whether an update arrived, as the base station knows.
 
     Raises:
         ValueError: a delay below 0, a change below 1 code, or a change without a code.
@@ -105,6 +106,7 @@ class Urgency(SlotTransform):
         delay: int = 0,
         first_contact: bool = False,
         change: int | None = None,
+        outcome_key: str = "delivered",
     ):
         if delay < 0:
             raise ValueError(f"delay {delay} must be at least 0 slots")
@@ -114,9 +116,9 @@ class Urgency(SlotTransform):
         self.remembered = max(delay, int(change is not None))
         self.carried = ("urgency_requests",) * (self.remembered > 0) + ("urgency_asks",) * first_contact
         self.first_contact = first_contact
-        self.previous_keys = ("delivered", *twin.reads())
+        self.previous_keys = ("delivered", outcome_key, *twin.reads())
         super().__init__(in_keys=[in_key], out_keys=["urgency", "true_error", "signalling_bits", *self.carried])
-        self.twin, self.code, self.delay, self.change = twin, code, delay, change
+        self.twin, self.code, self.delay, self.change, self.outcome_key = twin, code, delay, change, outcome_key
 
     def _specs(self, incoming: Composite) -> dict[str, TensorSpec]:
         self._seen(incoming)
@@ -131,7 +133,7 @@ class Urgency(SlotTransform):
     def _begin(self, before: Values, current: TensorDictBase) -> Values:
         shape = (*current.batch_size, self.remembered)
         empty = torch.zeros(shape, dtype=torch.float64, device=current.device)
-        return {"urgency_requests": empty, "urgency_asks": _everyone(current)}
+        return {"urgency_requests": empty, "urgency_asks": _flag(current, True)}
 
     @torch.no_grad()
     def _slot(self, previous: Values, current: TensorDictBase, fresh: Tensor | None) -> Values:
@@ -139,12 +141,12 @@ class Urgency(SlotTransform):
         wanted = self.twin.law(seen, current.get("reference", None))
         error = distance(wanted, self.twin.command(previous, current)[0])
         error = error.masked_fill(self.twin.failed(seen), 0.0)
-        delivered, asks = previous["delivered"], _everyone(current)
+        delivered, known, asks = previous["delivered"], previous[self.outcome_key], _flag(current, True)
         if self.first_contact:
             asks = previous["urgency_asks"] if delivered is None else previous["urgency_asks"] & ~delivered
         requests = previous["urgency_requests"] if self.remembered else None
-        if requests is not None and delivered is not None:
-            requests = requests.masked_fill(delivered.unsqueeze(-1), 0.0)
+        if requests is not None and known is not None:
+            requests = requests.masked_fill(known.unsqueeze(-1), 0.0)
         said, bits = self._request(error, asks, requests)
         values = {"true_error": error, "signalling_bits": bits}
         if self.first_contact:
@@ -181,7 +183,7 @@ class ExpectedGain(SlotTransform):
         in_key: what arrives: "received", or "embedding" where the controller encodes frames.
     """
 
-    carried = ("error_record", "error_situation", "expected_command")
+    carried = ("error_record", "error_situation", "expected_command", "ever_heard")
 
     def __init__(self, twin: Twin, in_key: str = "received"):
         self.previous_keys = ("delivered", "age_of_information", "reference", in_key, *twin.reads())
@@ -194,6 +196,7 @@ class ExpectedGain(SlotTransform):
             "error_record": number_spec(incoming, 2, expected_error.CELLS, dtype=torch.float64),
             "error_situation": number_spec(incoming, dtype=torch.int64),
             "expected_command": number_spec(incoming, len(self.twin.rest)),
+            "ever_heard": flag_spec(incoming),
         }
 
     def _begin(self, before: Values, current: TensorDictBase) -> Values:
@@ -203,25 +206,28 @@ class ExpectedGain(SlotTransform):
             "error_record": before.get("error_record", empty),
             "error_situation": torch.zeros(shape, dtype=torch.int64, device=device),
             "expected_command": self.twin.rest.to(device).expand(*shape, -1),
+            "ever_heard": _flag(current, False),
         }
 
     @torch.no_grad()
     def _slot(self, previous: Values, current: TensorDictBase, fresh: Tensor | None) -> Values:
         record = expected_error.ErrorRecord(*previous["error_record"].unbind(-2))
+        heard = previous["ever_heard"]
         if previous["delivered"] is not None:
-            record = self._learned(record, previous)
-        command, informed, belief = self.twin.command(previous, current)
+            record, heard = self._learned(record, previous), heard | previous["delivered"]
+        command, belief = self.twin.command(previous, current)
         age = previous["age_of_information"]
         age = torch.ones(current.batch_size, dtype=torch.int64, device=current.device) if age is None else age
-        situation = expected_error.situation(age, informed)
+        situation = expected_error.situation(age, heard)
         gain = expected_error.expected_gain(record, situation)
         if belief is not None:
-            gain = gain.masked_fill(informed & self.twin.failed(belief), 0.0)
+            gain = gain.masked_fill(heard & self.twin.failed(belief), 0.0)
         return {
             "expected_gain": gain,
             "error_record": torch.stack(record, -2),
             "error_situation": situation,
             "expected_command": command.to(torch.float32),
+            "ever_heard": heard,
         }
 
     def _learned(self, record: expected_error.ErrorRecord, previous: Values) -> expected_error.ErrorRecord:
