@@ -20,7 +20,6 @@ from tsjepa.radio.link import (
     db_to_linear,
     mean_snr,
     noise_dbm,
-    snr_threshold_for_rate,
     tx_power_for_target_dbm,
     unit_bits,
 )
@@ -64,10 +63,6 @@ def test_power_control_reaches_its_target():
         snr = mean_snr(loss, tx_power_for_target_dbm(loss, target_db, 180e3), 180e3)
         torch.testing.assert_close(snr, db_to_linear(target_db).expand(3))
         assert outage_probability(db_to_linear(5.0), snr)[0].item() == pytest.approx(lost, abs=5e-4)
-
-
-def test_rate_threshold_is_the_inverse_of_capacity():
-    assert snr_threshold_for_rate(622697.691, 180e3) == pytest.approx(10.0, abs=1e-6)
 
 
 def test_ergodic_efficiency_matches_scipy():

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from tsjepa.radio.trace_formats import read_log
-from tsjepa.radio.traces import Trace, describe, lookup, on_slots, read_trace, write_trace
+from tsjepa.radio.traces import Trace, describe, on_slots, read_trace, write_trace
 
 WILD = Path(__file__).parents[2].parent / "shared" / "wild" / "traces"
 TEXT = """time_s,device,snr_db,lost
@@ -63,16 +63,6 @@ def test_stretching_plays_slower(trace):
     slow = on_slots(trace, 0.02, stretch=2.0)
     assert slow.rows.shape == (2, 22)
     assert slow.values["snr_db"][0].tolist() == [20, 20, 22, *[24] * 19]
-
-
-def test_lookup_repeats_slots_and_devices(trace):
-    grid = on_slots(trace, 0.02)
-    device, slot = torch.arange(4).unsqueeze(-1), torch.arange(30)
-    played = lookup(grid, "snr_db", device, slot)
-    expected = grid.values["snr_db"]
-    assert torch.equal(played, torch.cat([expected] * 3, -1)[:, :30].repeat(2, 1))
-    with pytest.raises(ValueError, match="no delay_ms"):
-        lookup(grid, "delay_ms", device, slot)
 
 
 def test_a_trace_survives_a_file(trace, tmp_path):

@@ -66,7 +66,7 @@ def radio_end(
         remote = Encode(model.encoder, model.embedding_dim, in_key="received", mask_key="delivered")
         return [*links, decides, camera, Codec(codec, in_key="pixels"), *arrival, remote]
     sees = [camera, Encode(model.encoder, model.embedding_dim)]
-    if isinstance(model, SemanticController) and model.observer is not None:
+    if isinstance(model, SemanticController) and model.has_observer:
         remembers = Observe(at_weights(model, model.correct), warm_up(plant, model))
         return [*links, *sees, remembers, decides, Codec(codec), *arrival]
     return [*links, decides, *sees, Codec(codec), *arrival]

@@ -72,6 +72,11 @@ class Controller(nn.Module):
         """Whether it predicts between updates; one that does not holds its last command."""
         return False
 
+    @property
+    def has_observer(self) -> bool:
+        """Whether its devices remember what they have seen, and send what they believe."""
+        return False
+
     def encode(self, frames: Tensor) -> Tensor:
         """uint8 [..., frame_stack, H, W, 3], oldest first, to embeddings [..., d]."""
         return self.encoder(frames)

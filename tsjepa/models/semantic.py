@@ -54,6 +54,11 @@ class SemanticController(Controller):
         """Whether it predicts between updates."""
         return self.predictor is not None
 
+    @property
+    def has_observer(self) -> bool:
+        """Whether its devices remember what they have seen, and send what they believe."""
+        return self.observer is not None
+
     def predict(self, embedding: Tensor, command: Tensor) -> Tensor:
         """Embedding [..., d] one slot later under ``command`` [..., m].
 

@@ -8,11 +8,6 @@ import torch
 from torch import Tensor
 
 
-def combined_snr(first: Tensor, second: Tensor) -> Tensor:
-    """Effective linear SNR of two copies: their sum."""
-    return first + second
-
-
 def residual_outage(snr_threshold: Tensor | float, first_mean: Tensor | float, second_mean: Tensor | float) -> Tensor:
     """P[both attempts fail] under independent Rayleigh fading: P[g1 + g2 < threshold] of two exponentials.
 
@@ -35,8 +30,3 @@ def residual_outage(snr_threshold: Tensor | float, first_mean: Tensor | float, s
     slope = threshold / (high * low)
     grown = torch.where(gap * slope > 1e-12, -torch.expm1(-gap * slope) / gap.clamp(min=1e-300), slope)
     return (1.0 - torch.exp(-threshold / high) * (1.0 + low * grown)).clamp(min=0.0)
-
-
-def mean_transmissions(first_outage: Tensor | float) -> Tensor:
-    """Attempts per packet: 1 and a second one after each first that failed, float64."""
-    return 1.0 + torch.as_tensor(first_outage, dtype=torch.float64)

@@ -40,12 +40,6 @@ def mean_snr(path_loss_db: Tensor, tx_power_dbm: Tensor | float, bandwidth_hz: f
     return db_to_linear(tx_power_dbm - loss - noise_dbm(bandwidth_hz))
 
 
-def rise_over_thermal_db(interference_dbm: Tensor | float, bandwidth_hz: float) -> Tensor:
-    """How far interference lifts the noise floor: 10 log10(1 + I / N), dB, float64; I within ``bandwidth_hz``."""
-    ratio = db_to_linear(torch.as_tensor(interference_dbm, dtype=torch.float64) - noise_dbm(bandwidth_hz))
-    return 10 * torch.log10(1 + ratio)
-
-
 def sinr(snr: Tensor, rise_db: Tensor | float) -> Tensor:
     """SINR under interference that lifts the noise floor by ``rise_db`` >= 0; both ratios linear, broadcast."""
     if bool((torch.as_tensor(rise_db) < 0).any()):
@@ -64,11 +58,6 @@ def capacity(bandwidth_hz: Tensor | float, snr: Tensor | float) -> Tensor:
     if not snr.is_floating_point():
         snr = snr.to(torch.float64)
     return bandwidth_hz * torch.log2(1.0 + snr)
-
-
-def snr_threshold_for_rate(rate_bit_per_s: float, bandwidth_hz: float) -> float:
-    """The SNR at which the capacity of ``bandwidth_hz`` equals the rate: 2^(R / W) - 1, linear."""
-    return 2.0 ** (rate_bit_per_s / bandwidth_hz) - 1.0
 
 
 def outage_probability(snr_threshold: Tensor | float, mean_snr: Tensor | float) -> Tensor:

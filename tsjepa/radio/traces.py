@@ -138,17 +138,6 @@ def on_slots(trace: Trace, slot_s: float, stretch: float = 1.0) -> SlotTrace:
     return SlotTrace(values, rows)
 
 
-def lookup(grid: SlotTrace, column: str, device: Tensor, slot: Tensor) -> Tensor:
-    """Value of a column for devices and slots (int64, broadcast), float64.
-
-    After its last slot the trace is played from the start again; more devices than it has take the same ones in turn.
-    """
-    if column not in grid.values:
-        raise ValueError(f"the trace has no {column}: it has {', '.join(grid.values)}")
-    values = grid.values[column].to(device.device)
-    return values[device % values.shape[0], slot % values.shape[1]]
-
-
 def describe(trace: Trace, slot_s: float, stretch: float = 1.0, slots: int | None = None, gap_s: float = 1.0) -> str:
     """One sentence: how long the trace is, its pace, how it is stretched and repeated, and where nothing was measured.
 

@@ -5,46 +5,36 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-LAWS = ("logarithmic", "linear")
-
 
 @dataclass(frozen=True)
 class UrgencyCode:
     """Urgencies >= 0 as codes of ``bits`` bits.
 
-    Code 0 stands for anything below ``smallest``. The logarithmic law spaces the other levels evenly in decibels from
-    ``smallest`` to ``full_scale``, the linear law all levels evenly from 0. Values above full scale, infinity included,
-    have the last code: a device that is lost does not outbid the others without end.
+    Code 0 stands for anything below ``smallest``; the other levels are even in decibels from there to ``full_scale``.
+    Values above full scale, infinity included, have the last code: a device that is lost does not outbid the others
+    without end.
 
     Attributes:
         bits: per request; 1 to 16.
         full_scale: urgency of the last code, in the urgency's own unit, such as the actuator's range.
-        law: "logarithmic" or "linear".
-        smallest: urgency of code 1 of the logarithmic law.
+        smallest: urgency of code 1; with one bit, whose only level is full scale, it is not used.
     """
 
     bits: int
     full_scale: float
-    law: str = "logarithmic"
-    smallest: float | None = None
+    smallest: float
 
     def __post_init__(self):
         if not 1 <= self.bits <= 16:
             raise ValueError(f"{self.bits} bits for an urgency: choose 1 to 16")
-        if self.law not in LAWS:
-            raise ValueError(f"unknown law {self.law!r}: choose one of {', '.join(LAWS)}")
-        if not self.full_scale > 0:
-            raise ValueError(f"full_scale {self.full_scale:g} must be positive")
-        if self.law == "logarithmic" and not (self.smallest and 0 < self.smallest < self.full_scale):
-            raise ValueError(f"the logarithmic law needs a smallest urgency between 0 and {self.full_scale:g}")
+        if not 0 < self.smallest < self.full_scale:
+            raise ValueError(f"the smallest urgency, {self.smallest:g}, must lie between 0 and {self.full_scale:g}")
 
     def levels(self) -> Tensor:
         """Urgency that each code stands for, [2^bits] float64, ascending from 0."""
         last = 2**self.bits - 1
         code = torch.arange(last + 1, dtype=torch.float64)
-        if self.law == "linear":
-            return self.full_scale * code / last
-        if last == 1 or self.smallest is None:
+        if last == 1:
             return torch.tensor([0.0, self.full_scale], dtype=torch.float64)
         grown = self.smallest * (self.full_scale / self.smallest) ** ((code - 1) / (last - 1))
         return grown.masked_fill(code == 0, 0.0)

@@ -66,7 +66,7 @@ def card(name: str, model: Controller, metrics: dict) -> str:
     sections = [
         FRONT_MATTER.format(tag=tag, machine=machine) + f"# {name}",
         what.format(machine=f"the {machine}", interval=1000 * spec.slot, dim=model.embedding_dim)
-        + OBSERVES * (getattr(model, "observer", None) is not None),
+        + OBSERVES * model.has_observer,
         usage(name, model),
         *figures(metrics),
         *open_loop(metrics),
@@ -101,7 +101,6 @@ def settings(plant: dict) -> str:
 
 def usage(name: str, model: Controller) -> str:
     """How to load and call it."""
-    observes = getattr(model, "observer", None) is not None
     spec, set_points = model.spec, getattr(getattr(model, "actor", None), "reference_low", ())
     reference = numbers("reference", "r", spec.reference_names, spec.reference_units)
     lines = [
@@ -113,7 +112,7 @@ def usage(name: str, model: Controller) -> str:
         f"u = model.act(z{', reference' if set_points else ''})  "
         f"# {numbers('', 'm', spec.action_names, spec.action_units)}{f'; {reference}' if set_points else ''}",
         *(["z_next = model.predict(z, u)"] if model.has_predictor else []),
-        *(["z = model.correct(z, u, model.encode(next_frames))"] if observes else []),
+        *(["z = model.correct(z, u, model.encode(next_frames))"] if model.has_observer else []),
         "```",
     ]
     return "\n".join(lines)

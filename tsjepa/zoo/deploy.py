@@ -16,13 +16,13 @@ from torch import Tensor, nn
 from torch.export import Dim, ExportedProgram
 
 from tsjepa.envs.payload import embedding_codec
+from tsjepa.live.graphs import DESCRIPTION
 from tsjepa.models import AutoencoderController, Controller, entries
 from tsjepa.radio.codecs import payload_bits
 from tsjepa.support.files import exclusive, replace_folder
 from tsjepa.support.provenance import provenance
 
 CODEC = "int8"
-DESCRIPTION = "deployment.json"
 SUFFIXES = {"onnx": "onnx", "torch_export": "pt2"}
 ROWS = 2  # of the examples; a single one torch.export would take for a constant
 
@@ -115,7 +115,7 @@ def graphs(model: Controller) -> dict[str, Graph]:
     reference = {"reference": torch.zeros(ROWS, set_points)} if set_points else {}
     payload = {"payload": codec.encode(embedding)}
     device = Graph(Device(model.encoder, codec), {"frames": frames}, ("payload",))
-    if getattr(model, "observer", None) is not None:
+    if model.has_observer:
         watches = ObservingDevice(model.encoder, codec, model.predictor, model.observer)
         inputs = {"frames": frames, "belief": embedding, "command": command}
         device = Graph(watches, inputs, ("payload", "next_belief"))

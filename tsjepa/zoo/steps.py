@@ -67,7 +67,7 @@ def observed(entry: str) -> Made:
 
 
 SUPERVISED = (*LARGE_DATA, "--trainer.max_epochs", "9", "--model.init_args.learning_rate", "2e-3")
-GENERATIVE = (*LARGE_DATA, "--trainer.max_epochs", "6", "--trainer.check_val_every_n_epoch", "2")
+GENERATIVE = (*LARGE_DATA, "--trainer.max_epochs", "12", "--trainer.check_val_every_n_epoch", "3")
 PAPER_20_MS = ("--data.init_args.path", "data/paper-20ms", "--data.init_args.collect", "recipes/zoo/paper-data.yaml")
 ENTRIES: dict[str, Made] = {
     "tsjepa-cartpole": of_width(256),
