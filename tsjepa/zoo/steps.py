@@ -18,6 +18,9 @@ LARGE_DATA = (
     *("--data.init_args.splits", "[train, actor_train, actor_plain]"),
 )
 
+# The encoder of 256 features has 2.6 million weights, a whole zoo of which would be too large to ship.
+SMALL = ("--model.init_args.encoder.init_args.features", "64", "--model.init_args.encoder.init_args.hidden_dim", "256")
+
 
 @dataclass(frozen=True)
 class Fit:
@@ -51,7 +54,8 @@ class Made:
 def of_width(dim: int) -> Made:
     """TS-JEPA for the cart-pole with embeddings of ``dim`` numbers."""
     sized = [(f"--model.init_args.{part}.init_args.embedding_dim", str(dim)) for part in ("encoder", "predictor")]
-    return Made((Fit("jepa", ("zoo/jepa",), (*sized[0], *sized[1])), Fit("actor", ("zoo/actor",))))
+    options = (*sized[0], *sized[1], *(SMALL if dim < 256 else ()))
+    return Made((Fit("jepa", ("zoo/jepa",), options), Fit("actor", ("zoo/actor",))))
 
 
 def of_plant(plant: str) -> Made:
