@@ -39,6 +39,7 @@ class Made:
     Args:
         fits: in their order; each but the first starts from the model of the one before.
         after: entry from whose model, of the same training seed, the first fit starts; it is made first.
+        decoder: whether the entry keeps what draws its embeddings, for pictures and films of them.
         data: set whose test split gives the card's command error.
         evaluation: further options of ``tsjepa evaluate``.
         over: recipes over ``recipes/evaluate.yaml``.
@@ -49,13 +50,15 @@ class Made:
     evaluation: tuple[str, ...] = ("--frame_history", "4", "--periods", "[1, 2, 5, 10, 20, 0]")
     over: tuple[str, ...] = ()
     after: str | None = None
+    decoder: bool = True
 
 
 def of_width(dim: int) -> Made:
     """TS-JEPA for the cart-pole with embeddings of ``dim`` numbers."""
     sized = [(f"--model.init_args.{part}.init_args.embedding_dim", str(dim)) for part in ("encoder", "predictor")]
-    options = (*sized[0], *sized[1], *(SMALL if dim < 256 else ()))
-    return Made((Fit("jepa", ("zoo/jepa",), options), Fit("actor", ("zoo/actor",))))
+    small = dim < 256
+    options = (*sized[0], *sized[1], *(SMALL if small else ()))
+    return Made((Fit("jepa", ("zoo/jepa",), options), Fit("actor", ("zoo/actor",))), decoder=not small)
 
 
 def of_plant(plant: str) -> Made:
@@ -67,7 +70,7 @@ def of_plant(plant: str) -> Made:
 
 def observed(entry: str) -> Made:
     """An entry for the cart-pole with an observer on the device."""
-    return Made((Fit("observer", data="data/cartpole-noise"),), after=entry)
+    return Made((Fit("observer", data="data/cartpole-noise"),), after=entry, decoder=False)
 
 
 SUPERVISED = (*LARGE_DATA, "--trainer.max_epochs", "9", "--model.init_args.learning_rate", "2e-3")

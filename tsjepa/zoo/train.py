@@ -60,8 +60,8 @@ def train(name: str, seeds: int = 1) -> Path:
             write_json(home / SEEDS_FILE, together)
             options += ["--training_seeds", f"{home.as_posix()}/{SEEDS_FILE}"]
         said = told([*times, journal.done], name, seeds)
-        if made.after is not None:
-            options += ["--decoder", "false"]  # the other entry has the same one
+        if not made.decoder:
+            options += ["--decoder", "false"]
         options += ["--folder", f"{home.as_posix()}/entry", "--trained_with", said]
         do(journal, "export", ["export", run_of(made, homes[best]), name, *options])
     entry = home / "entry" / name
