@@ -16,12 +16,12 @@ from torch import Tensor, nn
 from torch.export import Dim, ExportedProgram
 
 from tsjepa.envs.payload import embedding_codec
-from tsjepa.live.graphs import DESCRIPTION
 from tsjepa.models import AutoencoderController, Controller, entries
 from tsjepa.radio.codecs import payload_bits
 from tsjepa.support.files import exclusive, replace_folder
 from tsjepa.support.provenance import provenance
 
+DESCRIPTION = "deployment.json"
 CODEC = "int8"
 SUFFIXES = {"onnx": "onnx", "torch_export": "pt2"}
 ROWS = 2  # of the examples; a single one torch.export would take for a constant
