@@ -1,6 +1,6 @@
 """Jumps of several strides beside steps of one slot: prediction error, score, and devices on one radio.
 
-    python tests/benchmarks/hierarchy.py            # about five minutes of one core
+    python tests/benchmarks/hierarchy.py            # about half an hour of one core
 
 Both predictors learn on the frozen embeddings of one entry and the same trajectories, from a draw of their own for each
 training seed: as many parameters, steps, roll-outs a step and predictions a roll-out. The flat one is fed its own
@@ -176,7 +176,7 @@ def spread(values: list[float]) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--model", default="tsjepa-cartpole-d16", help="an entry of the zoo")
-    parser.add_argument("--steps", type=int, default=20000, help="of a predictor")
+    parser.add_argument("--steps", type=int, default=8000, help="of a predictor")
     parser.add_argument("--training_seeds", type=int, default=3)
     parser.add_argument("--seeds", type=int, default=5, help="of the evaluation")
     parser.add_argument("--starts", type=int, default=20, help="per seed")
