@@ -89,7 +89,7 @@ def fitted(made: Made, home: str, seed: int) -> dict[str, dict]:
     steps = fits(made, home, seed)
     journal = Journal(folder / "steps.journal", steps)
     for fit, (step, words) in zip(made.fits, steps.items(), strict=True):
-        if step in journal.done and journal.done[step]["first"] != first:
+        if step in journal.done and journal.done[step].get("first") != first:
             raise ValueError(
                 f"{home}/{step} has started from another {made.after} than there is: move {home} away and start again."
             )
