@@ -27,6 +27,7 @@ class Row:
         target: for ``value``; None where there is none.
         value: what has to reach the target; None if it never got there.
         at_most: the target is an upper limit.
+        unit: of the target, where it is no ratio.
     """
 
     name: str
@@ -36,6 +37,7 @@ class Row:
     target: float | None = None
     value: float | None = None
     at_most: bool = False
+    unit: str = ""
 
     def met(self) -> bool | None:
         """Whether the target is met; None without one."""
@@ -47,7 +49,7 @@ class Row:
 
     def cells(self) -> list[str]:
         """As text."""
-        target = "" if self.target is None else f"{'≤' if self.at_most else '≥'} {self.target:g}"
+        target = "" if self.target is None else f"{'≤' if self.at_most else '≥'} {self.target:g} {self.unit}".rstrip()
         return [
             self.name,
             self.figure,
@@ -100,7 +102,7 @@ def training_step(result: dict) -> Iterator[Row]:
     )
     yield Row(name, figure, floor, result["training_over_flop_floor"])
     peak, limit = result["peak_memory_gib"], result["peak_memory_target_gib"]
-    yield Row(f"{name}, memory", f"{peak:.2f} GiB", target=limit, value=peak, at_most=True)
+    yield Row(f"{name}, memory", f"{peak:.2f} GiB", target=limit, value=peak, at_most=True, unit="GiB")
 
 
 def peers(result: dict) -> Iterator[Row]:
@@ -133,7 +135,8 @@ def peers(result: dict) -> Iterator[Row]:
 def quality(result: dict) -> Iterator[Row]:
     target = result["target"]
     best = max(result["runs"], key=lambda run: run["normalized_score"])
-    reached = f"best of {len(result['runs'])} runs: {best['normalized_score']:.3f} ± {best['interval_95']:.3f}"
+    runs = len(result["runs"])
+    reached = f"best of {runs} run{'s' * (runs > 1)}: {best['normalized_score']:.3f} ± {best['interval_95']:.3f}"
     for score, seconds in result["seconds_to_score"].items():
         yield Row(
             f"empty folder to a score of {score}, {result['accelerator']}",
@@ -142,6 +145,7 @@ def quality(result: dict) -> Iterator[Row]:
             target=target["seconds"] if float(score) == target["score"] else None,
             value=seconds,
             at_most=True,
+            unit="s",
         )
 
 
@@ -223,6 +227,7 @@ def latency(result: dict) -> Iterator[Row]:
             row.get("target_milliseconds"),
             took,
             at_most=True,
+            unit="ms",
         )
     payload, frames = result["payload_bits"], result["frame_bits"]
     yield Row("device: payload", f"{payload / 8:,.0f} bytes", f"its frames: {frames / 8:,.0f}", payload / frames)
@@ -234,7 +239,7 @@ def loading(result: dict) -> Iterator[Row]:
     name, seconds = max(result["seconds_to_load"].items(), key=lambda entry: entry[1]["median"])
     took = seconds["median"]
     label = f"loading the slowest of {len(result['seconds_to_load'])} zoo entries, {name}"
-    yield Row(label, f"{took:.2f} s", target=result["limit_s"], value=took, at_most=True)
+    yield Row(label, f"{took:.2f} s", target=result["limit_s"], value=took, at_most=True, unit="s")
 
 
 def memory(result: dict) -> Iterator[Row]:
@@ -246,6 +251,7 @@ def memory(result: dict) -> Iterator[Row]:
         target=MEMORY_GROWTH_PERCENT,
         value=growth,
         at_most=True,
+        unit="%",
     )
 
 
@@ -267,7 +273,8 @@ HEAD = ("what", "figure", "peer or limit", "ratio: median (range)", "target", "m
 ABOVE = """# Benchmarks
 
 Made by `make bench`. A row is as old as its commit: version 0.2 begins on 2026-11-25, and what was measured before is
-version 0.1's. The list below the table has the date, the machine and the command of each file.
+version 0.1's. What is of a model is of the entry as it was then. The list below the table has the date, the machine
+and the command of each file.
 
 """
 

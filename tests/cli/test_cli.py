@@ -6,7 +6,7 @@ import re
 import shlex
 import subprocess
 import sys
-from pathlib import Path
+from itertools import pairwise
 
 import pytest
 
@@ -14,6 +14,8 @@ from tsjepa import cli
 from tsjepa.cli import doctor
 from tsjepa.cli.afterwards import STEPS, next_step
 from tsjepa.cli.errors import explain
+from tsjepa.data import storage
+from tsjepa.plants import CartPole, Pendulum, Reacher
 from tsjepa.support import recipes
 from tsjepa.support.gl import missing_backend_message
 from tsjepa.support.recipes import one_sentence
@@ -104,8 +106,6 @@ def test_json_is_all_that_stands_on_standard_output(capsys):
     [
         ("fit", {}, {"acts": False, "model": "runs/jepa/model", "data": "data/cartpole"}),
         ("fit", {}, {"acts": True, "model": "runs/actor/model", "data": "data/cartpole"}),
-        ("collect", {}, Path("data/cartpole")),
-        ("import", {}, Path("data/mine")),
         ("evaluate", {"model": "tsjepa-cartpole"}, {"closed_loop": []}),
         ("evaluate", {"model": "tsjepa-cartpole"}, {"open_loop": {}}),
         ("simulate", {"controller": "hold"}, {"fleet": {}}),
@@ -117,6 +117,27 @@ def test_what_to_do_next_is_a_command_that_parses(capsys, command, values, resul
     said = next_step(command, values, result)
     words = said[said.index(": tsjepa ") :].split()[2:]
     assert run(capsys, *words, "--print_config")[0] == 0, said
+
+
+@pytest.mark.parametrize("command", ["collect", "import"])
+@pytest.mark.parametrize(
+    ("plant", "needed"),
+    [
+        (CartPole(), {}),
+        (Pendulum(), {"encoder.init_args.height": "64", "encoder.init_args.width": "64"}),
+        (
+            Reacher(),
+            {"encoder.init_args.height": "64", "encoder.init_args.width": "64", "predictor.init_args.action_dim": "2"},
+        ),
+    ],
+)
+def test_the_fit_after_a_data_set_has_its_sizes(capsys, tmp_path, command, plant, needed):
+    metadata = {"format": storage.FORMAT, "files": {}, "spec": plant.spec.to_dict()}
+    (tmp_path / storage.METADATA).write_text(json.dumps(metadata))
+    words = next_step(command, {}, tmp_path).split(": tsjepa ")[1].split()
+    prefix = "--model.init_args."
+    assert {name.removeprefix(prefix): size for name, size in pairwise(words) if name.startswith(prefix)} == needed
+    assert run(capsys, *words, "--print_config")[0] == 0
 
 
 def test_what_to_do_next_covers_every_case_above_and_no_other():

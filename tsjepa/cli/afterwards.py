@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
+
+# What recipes/jepa.yaml is made for: height and width of a frame in pixels, and the numbers of a command.
+CARTPOLE_SIZES = ((64, 128), 1)
 
 
 def next_step(command: str, values: dict[str, Any], result: Any) -> str | None:
@@ -31,12 +35,24 @@ def _after_evaluate(values: dict, result: dict) -> str:
     return f"bring it to a device: tsjepa deploy {values['model']} deployed"
 
 
+def _after_data(path: Path) -> str:
+    from tsjepa.data.storage import read_metadata, spec_of
+
+    spec = spec_of(read_metadata(path))
+    words = f"--data.init_args.path {path} --data.init_args.collect null"
+    frame, commands = CARTPOLE_SIZES
+    if tuple(spec.frame) != frame:
+        encoder = "--model.init_args.encoder.init_args"
+        words += f" {encoder}.height {spec.frame[0]} {encoder}.width {spec.frame[1]}"
+    if spec.action_dim != commands:
+        words += f" --model.init_args.predictor.init_args.action_dim {spec.action_dim}"
+    return f"train on it: tsjepa fit --config recipes/jepa.yaml {words}"
+
+
 STEPS: dict[str, Callable[[dict, Any], str]] = {
     "fit": _after_fit,
-    "collect": lambda values, path: f"train on it: tsjepa fit --config recipes/jepa.yaml --data.init_args.path {path}",
-    "import": lambda values, path: (
-        f"train on it: tsjepa fit --config recipes/jepa.yaml --data.init_args.path {path} --data.init_args.collect null"
-    ),
+    "collect": lambda values, path: _after_data(path),
+    "import": lambda values, path: _after_data(path),
     "evaluate": _after_evaluate,
     "simulate": lambda values, result: (
         "find how many each scheduler serves: tsjepa simulate --config recipes/fleet-search.yaml "

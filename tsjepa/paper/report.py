@@ -116,7 +116,7 @@ def origins(records: list[dict]) -> list[str]:
         changed = "" if record["weights"] == all_weights(record["point"]) else "; by other weights or recipes than here"
         line = f"`{made['command']}` (commit {made['commit']}, {made['date']}{restated}{changed})"
         counts[line] = counts.get(line, 0) + 1
-    return [f"{line}: {count} points" for line, count in counts.items()]
+    return [f"{line}: {count} point{'s' * (count > 1)}" for line, count in counts.items()]
 
 
 def markdown(modules: dict, records: dict, verdicts: dict[str, Verdict], pictures: str) -> str:
