@@ -159,6 +159,17 @@ def test_a_search_that_was_killed_goes_on_where_it_was(interrupted):
 
 
 @pytest.mark.slow
+def test_a_search_on_a_trace_goes_on_with_this_very_trace_alone(interrupted, tmp_path):
+    path = tmp_path / "links.csv"
+    on_trace = {"radio": Radio(trace=str(path))}
+    path.write_text("time_s,snr_db\n0,10\n1,12\n")
+    assert interrupted(after=3, **on_trace) == [(6, 0), (6, 1), (7, 0)]
+    assert interrupted(after=1, **on_trace) == [(7, 1)]
+    interrupted(after=3, **on_trace)
+    path.write_text("time_s,snr_db\n0,10\n1,13\n")
+    assert interrupted(**on_trace) == [(6, 0), (6, 1), (7, 0), (7, 1)]
+
+
 @pytest.mark.slow
 def test_other_code_another_plant_or_another_normaliser_start_a_search_anew(interrupted, monkeypatch):
     whole = [(6, 0), (6, 1), (7, 0), (7, 1)]
