@@ -96,7 +96,12 @@ def check_fit(model: Controller, plant: Plant) -> None:
     Raises:
         ValueError: naming both values.
     """
-    for name, what in (("slot", "slot in seconds"), ("frame", "frame"), ("action_low", "command range")):
+    for name, what in (
+        ("slot", "slot in seconds"),
+        ("frame", "frame"),
+        ("action_low", "smallest command"),
+        ("action_high", "largest command"),
+    ):
         given, wanted = getattr(model.spec, name), getattr(plant.spec, name)
         if given != wanted:
             raise ValueError(
