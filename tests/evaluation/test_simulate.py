@@ -15,7 +15,7 @@ from tsjepa import cli
 from tsjepa.envs import Radio
 from tsjepa.evaluation import simulate as simulation
 from tsjepa.evaluation.fleet_film import BORDER, DELIVERED, FAILED, GOOD, LOST, SILENT, grid_columns, tile, tile_size
-from tsjepa.evaluation.fleet_pictures import redraw
+from tsjepa.evaluation.fleet_pictures import age_plot, capacity_plot
 from tsjepa.evaluation.rollouts import Loop, run
 from tsjepa.models import entries
 from tsjepa.plants import CartPole
@@ -45,7 +45,7 @@ def test_a_fleet_from_its_recipe(tmp_path, capsys):
     assert len(rows) == 2 * 2 * 5
     for name in ("scores.png", "ages.png"):
         assert (tmp_path / name).stat().st_size > 1000
-    redraw(tmp_path / "fleet.json", tmp_path / "again.png")
+    age_plot(result["schedulers"], tmp_path / "again.png")
     assert (tmp_path / "again.png").read_bytes() == (tmp_path / "ages.png").read_bytes()
 
 
@@ -70,7 +70,7 @@ def test_a_search_from_its_recipe(tmp_path, capsys):
     result = json.loads((tmp_path / "search.json").read_text())
     assert {row["scheduler"] for row in result["largest"]} == {"round_robin", "none"}
     assert not (tmp_path / "fleet.json").exists()
-    redraw(tmp_path / "search.json", tmp_path / "again.png")
+    capacity_plot(result, tmp_path / "again.png")
     assert (tmp_path / "again.png").read_bytes() == (tmp_path / "search.png").read_bytes()
 
 
