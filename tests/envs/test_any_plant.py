@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import re
 import sys
 from pathlib import Path
 
@@ -11,6 +13,7 @@ import torch
 from torchrl.envs.utils import check_env_specs
 
 from tsjepa.envs import FleetEnv, Radio, make_env, make_policy
+from tsjepa.envs.make import check_fit
 from tsjepa.models import Actor, Encoder, Predictor, SemanticController
 from tsjepa.plants import CartPole, DoubleCartPole, MuJoCo, Pendulum, Reacher, Suite, build_plant, describe_plant
 
@@ -51,6 +54,24 @@ def test_specs_of_the_fleet_and_of_the_chain(name, tmp_path):
     check_env_specs(make_env(plant, 2, "round_robin", Radio(resource_blocks=1)))
     torch.manual_seed(0)
     check_env_specs(make_env(plant, 2, "max_age", Radio(resource_blocks=1), model_of(plant)))
+
+
+@pytest.mark.parametrize(
+    ("changed", "named"),
+    [
+        ({"slot": 0.01}, "a slot in seconds of 0.02, and the plant has 0.01"),
+        ({"frame": (32, 64)}, "a frame of (64, 128), and the plant has (32, 64)"),
+        ({"action_low": (-10.0,)}, "a smallest command of (-20.0,), and the plant has (-10.0,)"),
+        ({"action_high": (10.0,)}, "a largest command of (20.0,), and the plant has (10.0,)"),
+    ],
+)
+def test_a_model_of_another_machine_is_refused_with_both_values(changed, named):
+    plant = CartPole()
+    model = model_of(plant)
+    check_fit(model, plant)
+    plant.spec = dataclasses.replace(plant.spec, **changed)
+    with pytest.raises(ValueError, match=re.escape(named)):
+        check_fit(model, plant)
 
 
 @any_plant

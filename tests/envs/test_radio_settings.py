@@ -1,5 +1,7 @@
 """The radio of a recipe, as the chain that it makes of a fleet of cart-poles."""
 
+import math
+
 import pytest
 import torch
 
@@ -141,6 +143,9 @@ def test_an_option_that_no_part_has_is_refused(tmp_path, capsys):
         ({"trace": "a.csv", "interference_rise_db": 1.0}, "A trace is played as it is"),
         ({"ack_loss": 1.5}, "ack_loss"),
         ({"interference_rise_db": -1.0}, "interference_rise_db"),
+        *(({"bandwidth_mhz": value}, f"bandwidth_mhz is {value}") for value in (-100.0, 0.0, math.nan, math.inf)),
+        *(({"trace_stretch": value}, f"trace_stretch is {value}") for value in (-1.0, 0.0, math.nan, math.inf)),
+        *(({"trace_start_s": value}, f"trace_start_s is {value}") for value in (-1.0, math.nan, math.inf)),
     ],
 )
 def test_what_cannot_be_is_refused(options, named):

@@ -15,7 +15,7 @@ from tsjepa import cli
 from tsjepa.envs import Radio
 from tsjepa.evaluation import simulate as simulation
 from tsjepa.evaluation.fleet_film import BORDER, DELIVERED, FAILED, GOOD, LOST, SILENT, grid_columns, tile, tile_size
-from tsjepa.evaluation.fleet_pictures import redraw
+from tsjepa.evaluation.fleet_pictures import age_plot, capacity_plot
 from tsjepa.evaluation.rollouts import Loop, run
 from tsjepa.models import entries
 from tsjepa.plants import CartPole
@@ -45,7 +45,7 @@ def test_a_fleet_from_its_recipe(tmp_path, capsys):
     assert len(rows) == 2 * 2 * 5
     for name in ("scores.png", "ages.png"):
         assert (tmp_path / name).stat().st_size > 1000
-    redraw(tmp_path / "fleet.json", tmp_path / "again.png")
+    age_plot(result["schedulers"], tmp_path / "again.png")
     assert (tmp_path / "again.png").read_bytes() == (tmp_path / "ages.png").read_bytes()
 
 
@@ -70,7 +70,7 @@ def test_a_search_from_its_recipe(tmp_path, capsys):
     result = json.loads((tmp_path / "search.json").read_text())
     assert {row["scheduler"] for row in result["largest"]} == {"round_robin", "none"}
     assert not (tmp_path / "fleet.json").exists()
-    redraw(tmp_path / "search.json", tmp_path / "again.png")
+    capacity_plot(result, tmp_path / "again.png")
     assert (tmp_path / "again.png").read_bytes() == (tmp_path / "search.png").read_bytes()
 
 
@@ -159,6 +159,17 @@ def test_a_search_that_was_killed_goes_on_where_it_was(interrupted):
 
 
 @pytest.mark.slow
+def test_a_search_on_a_trace_goes_on_with_this_very_trace_alone(interrupted, tmp_path):
+    path = tmp_path / "links.csv"
+    on_trace = {"radio": Radio(trace=str(path))}
+    path.write_text("time_s,snr_db\n0,10\n1,12\n")
+    assert interrupted(after=3, **on_trace) == [(6, 0), (6, 1), (7, 0)]
+    assert interrupted(after=1, **on_trace) == [(7, 1)]
+    interrupted(after=3, **on_trace)
+    path.write_text("time_s,snr_db\n0,10\n1,13\n")
+    assert interrupted(**on_trace) == [(6, 0), (6, 1), (7, 0), (7, 1)]
+
+
 @pytest.mark.slow
 def test_other_code_another_plant_or_another_normaliser_start_a_search_anew(interrupted, monkeypatch):
     whole = [(6, 0), (6, 1), (7, 0), (7, 1)]

@@ -32,6 +32,36 @@ def test_a_round_trip_aims_at_a_later_slot_through_what_was_sent():
     assert told(beliefs, 0, 1, 80, round_trip=2) == (3, [pytest.approx(-0.1 * (80 - 9 - 9))])  # 2 was held from 1
 
 
+@pytest.mark.parametrize(("buffer", "applied"), [(1, -10.0), (3, -9.0)])
+def test_a_command_that_is_no_number_is_not_sent_and_the_one_before_goes_on(buffer, applied):
+    graphs = Graphs()
+    beliefs = Beliefs(graphs, 1, buffer)
+    told(beliefs, 0, 0, 100)  # -10 in slot 0; of three commands the next is -9
+    graphs.spoil = np.nan
+    assert np.isnan(beliefs.predict(np.array([0]))[1]).all()  # of slot 1
+    graphs.spoil = None
+    slot, plan = told(beliefs, 0, 1, 80, round_trip=1)
+    assert slot == 2
+    assert plan[0] == pytest.approx(-0.1 * (80 + applied))
+
+
+def test_a_device_whose_first_command_is_no_number_is_at_rest():
+    graphs = Graphs()
+    beliefs = Beliefs(graphs, 1)
+    graphs.spoil = np.nan
+    told(beliefs, 0, 0, 100)
+    graphs.spoil = None
+    assert told(beliefs, 0, 1, 100, round_trip=1) == (2, [-10.0])
+
+
+def test_a_plan_is_played_in_slots_for_which_nothing_was_sent():
+    beliefs = Beliefs(Graphs(), 1, buffer=3)
+    told(beliefs, 0, 0, 100)  # -10, -9 and -8.1 in slots 0 to 2, and held
+    slot, plan = told(beliefs, 0, 1, 80, round_trip=3)
+    assert slot == 4
+    assert plan[0] == pytest.approx(-0.1 * (80 - 9 - 8.1 - 8.1))
+
+
 def test_an_update_that_comes_after_its_command_replaces_the_belief():
     beliefs = Beliefs(Graphs(), 1)
     told(beliefs, 0, 0, 100)

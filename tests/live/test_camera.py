@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
+from tsjepa.live import device as live_device
 from tsjepa.live.camera import Camera, find_actuator
 from tsjepa.support.trust import everything_trusted
 
@@ -59,3 +60,34 @@ def test_an_actuator_is_found_by_its_name_if_it_is_trusted():
         for wrong in ("math.nothing", "no_such_module.f", "floor", "math.pi"):
             with pytest.raises(ValueError, match=r"write package\.module\.function"):
                 find_actuator(wrong)
+
+
+@pytest.fixture
+def cameras(monkeypatch):
+    """The cameras that ``tsjepa device`` has opened."""
+    opened = []
+
+    def camera(*arguments):
+        opened.append(Camera(*arguments))
+        return opened[-1]
+
+    monkeypatch.setattr(live_device, "Camera", camera)
+    return opened
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("wrong", [{"controller": "nowhere"}, {"safe": [30.0]}, {"key": "no-such-key"}])
+def test_what_is_wrong_is_told_before_a_camera_is_opened_or_a_recording_begun(deployed, film, tmp_path, cameras, wrong):
+    with pytest.raises((ValueError, FileNotFoundError)):
+        live_device.device(str(deployed), camera=film, record=str(tmp_path / "run.rrd"), **wrong)
+    assert not cameras
+    assert not list(tmp_path.glob("run.rrd*"))
+
+
+@pytest.mark.slow
+def test_a_camera_is_let_go_when_its_run_fails(deployed, film, cameras, monkeypatch):
+    monkeypatch.setattr(live_device, "run_until_stopped", lambda work: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        live_device.device(str(deployed), camera=film)
+    (camera,) = cameras
+    assert not camera.video.isOpened()

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from tsjepa import cli
+from tsjepa.live.controller import controller
 
 SLOW = ["--realtime_factor", "0.25"]  # slots of 80 ms, so that a busy machine keeps up
 PATIENCE_S = 120
@@ -136,3 +137,18 @@ def test_what_cannot_be_is_refused_in_one_sentence(deployed, tmp_path, monkeypat
     said = capsys.readouterr().err
     assert status == 2
     assert said.count("\n") == 1 and sentence in said
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("wrong", [{"bind": "nowhere"}, {"key": "no-such-key"}, {}, {"record": "run.mp4"}])
+def test_a_controller_that_cannot_start_leaves_the_files_of_the_run_before(deployed, tmp_path, wrong):
+    files = [tmp_path / "log.csv", tmp_path / "run.rrd"]
+    for file in files:
+        file.write_text("of the run before")
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+        taken.bind(("127.0.0.1", 0))
+        bind = free_address() if "record" in wrong else f"127.0.0.1:{taken.getsockname()[1]}"
+        with pytest.raises((ValueError, OSError)):
+            controller(str(deployed), **{"bind": bind, "log": str(files[0]), "record": str(files[1])} | wrong)
+    assert {file.read_text() for file in files} == {"of the run before"}
+    assert sorted(tmp_path.iterdir()) == files

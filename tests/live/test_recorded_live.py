@@ -39,7 +39,7 @@ class LosesOne:
 def test_the_files_of_both_ends_say_what_they_did(monkeypatch, tmp_path):
     world = World(monkeypatch)
     with recorded(tmp_path / "c.rrd", SPEC, [0]) as write, recorded(tmp_path / "d.rrd", SPEC, [0]) as write_device:
-        world.control(graphs=BrightnessGraphs(), record=write)
+        world.control(graphs=BrightnessGraphs()).record = write
         machine = Filmed()
         world.device(machine, graphs=BrightnessGraphs(), weather=LosesOne(), record=write_device)
         world.run(8)

@@ -46,7 +46,7 @@ def runs_alike(monkeypatch, folder, model, period, loss):
     log, live = io.StringIO(), World(monkeypatch)
     graphs = Graphs(str(folder), ["device", "receive", "predict"], ())
     described = graphs.description["plant"]
-    live.control(devices=DEVICES, graphs=graphs, log=log)
+    live.control(devices=DEVICES, graphs=graphs).log = log
     machine = SimulatedPlants(described, np.arange(DEVICES), SEED, None, HISTORY, 2, 1)
     weather = Weather(loss=loss, seed=SEED) if loss else None
     live.device(machine, range(DEVICES), graphs, period=period, weather=weather)

@@ -3,9 +3,14 @@
 import pytest
 import torch
 
-from tsjepa.radio.expected_error import expected_error, expected_gain, learn, situation, start_record
+from tsjepa.radio.expected_error import expected_errors, expected_gain, learn, situation, start_record
 
 HEARD = torch.ones(6, dtype=torch.bool)
+
+
+def expected_error(record, situations):
+    """Error that is expected of each device, [..., I]."""
+    return expected_errors(record).flatten(-2).gather(-1, situations)
 
 
 def taught(law, rounds=400, largest_age=16):

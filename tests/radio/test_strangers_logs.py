@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from tsjepa.radio.trace_formats import read_log
+from tsjepa.radio.trace_formats import read_links
 
 ROWS, STEP_S, SINCE_1970 = 30, 0.05, 1_700_000_000
 DELAY = 20.0 + np.arange(ROWS) % 9
@@ -48,7 +48,7 @@ TABLES = {
 def test_a_table_of_delays_is_read_however_it_is_written(name, tmp_path):
     content = TABLES[name]
     (tmp_path / name).write_bytes(content if isinstance(content, bytes) else content.encode())
-    log = read_log(tmp_path / name, {})
+    log = read_links(tmp_path / name, {})[""]
     np.testing.assert_allclose(log.columns["delay_ms"], DELAY, rtol=1e-9)
     np.testing.assert_allclose(log.time_s, STEP_S * np.arange(ROWS), atol=1e-6)
     assert log.period_s == pytest.approx(STEP_S, abs=1e-6)
@@ -83,7 +83,7 @@ PACKETS = {
 @pytest.mark.parametrize("name", PACKETS)
 def test_a_log_of_packets_is_read_whatever_its_stamps_count_in(name, tmp_path):
     (tmp_path / name).write_text(PACKETS[name])
-    log = read_log(tmp_path / name, {})
+    log = read_links(tmp_path / name, {})[""]
     assert log.kind == "packet log" and log.period_s == pytest.approx(STEP_S, abs=1e-5)
     arrived = log.columns["lost"] == 0
     np.testing.assert_array_equal(np.flatnonzero(arrived), NUMBERS)
@@ -97,7 +97,7 @@ def test_ping_of_windows_has_no_numbers_and_its_lost_ones_are_lost(tmp_path):
         lines.append("Request timed out." if k % 6 == 0 else reply)
     lines.append("    Packets: Sent = 30, Received = 25, Lost = 5 (16% loss),")
     (tmp_path / "ping.txt").write_text("\r\n".join(lines))
-    log = read_log(tmp_path / "ping.txt", {})
+    log = read_links(tmp_path / "ping.txt", {})[""]
     np.testing.assert_array_equal(log.columns["lost"], np.arange(ROWS) % 6 == 0)
     np.testing.assert_array_equal(log.columns["delay_ms"][1:6], DELAY[1:6])
 
@@ -105,4 +105,6 @@ def test_ping_of_windows_has_no_numbers_and_its_lost_ones_are_lost(tmp_path):
 def test_a_dump_of_stations_is_signal_text(tmp_path):
     blocks = [f"Station 00:00:5e:00:53:01 (on wlan0)\n\tsignal:  \t-{60 + k} [-62, -65] dBm\n" for k in range(5)]
     (tmp_path / "dump.txt").write_text("".join(blocks))
-    np.testing.assert_array_equal(read_log(tmp_path / "dump.txt", {}, 1.0).columns["rsrp_dbm"], -60.0 - np.arange(5))
+    np.testing.assert_array_equal(
+        read_links(tmp_path / "dump.txt", {}, 1.0)[""].columns["rsrp_dbm"], -60.0 - np.arange(5)
+    )

@@ -5,14 +5,14 @@ import json
 import numpy as np
 import pytest
 
-from tsjepa.radio.trace_formats import read_links, read_log
+from tsjepa.radio.trace_formats import read_links
 
 LOST, DELAY = {1, 4, 8, 9}, 10.5 + np.arange(10)  # of ten; the last two too, which only a summary tells
 
 
 def log_of(path, text, period_s=None, **columns):
     path.write_text(text)
-    return read_log(path, columns, period_s)
+    return read_links(path, columns, period_s)[""]
 
 
 def lines(answer, lost, first, tail):

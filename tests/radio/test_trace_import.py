@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tsjepa.cli import main
-from tsjepa.radio.trace_formats import read_log
+from tsjepa.radio.trace_formats import read_links
 from tsjepa.radio.trace_import import describe, import_trace, outages, parse_columns
 from tsjepa.radio.traces import read_trace
 
@@ -15,7 +15,7 @@ parquet = pytest.importorskip("pyarrow.parquet")
 
 def log_of(path, text, period_s=None, **columns):
     path.write_text(text)
-    return read_log(path, columns, period_s)
+    return read_links(path, columns, period_s)[""]
 
 
 def test_a_table_with_units_in_its_names(tmp_path):
@@ -126,7 +126,7 @@ def test_iw_text(tmp_path):
     np.testing.assert_allclose(log.time_s, [0, 0.5, 1])
     assert any("1 of 3 polls found no connection" in note for note in log.notes)
     with pytest.raises(ValueError, match="--period_s"):
-        read_log(tmp_path / "iw.txt", {})
+        read_links(tmp_path / "iw.txt", {})
 
 
 def test_mahimahis_opportunities_are_the_wait_for_the_next_one(tmp_path):

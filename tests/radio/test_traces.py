@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from tsjepa.radio.trace_formats import read_log
+from tsjepa.radio.trace_formats import read_links
 from tsjepa.radio.traces import Trace, describe, on_slots, read_trace, write_trace
 
 WILD = Path(__file__).parents[2].parent / "shared" / "wild" / "traces"
@@ -116,7 +116,7 @@ def test_bad_slots_are_rejected(trace):
 def test_a_vehicles_control_messages_over_5g(tmp_path):
     """CICV5G (Tongji University), brought into the normal form: a message every 55 ms, of which none is missing."""
     path = next((WILD / "vehicle-5g").rglob("urban_n78_v0_run03.txt"))
-    log = read_log(path, {}, None)
+    log = read_links(path, {}, None)[""]
     columns = {name: torch.from_numpy(column) for name, column in log.columns.items()}
     device = torch.zeros(len(log.time_s), dtype=torch.int64)
     write_trace(tmp_path / "vehicle.csv", Trace(torch.from_numpy(log.time_s), device, ("0",), columns))

@@ -1,5 +1,8 @@
 """A fleet whose setting changes goes on; a push is a push; who has failed starts anew."""
 
+import errno
+import os
+import socket
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +14,8 @@ from tsjepa.envs import Radio
 from tsjepa.evaluation.rollouts import Loop
 from tsjepa.models import Observer
 from tsjepa.plants import CartPole
+from tsjepa.radio import GilbertElliott, IidLoss
+from tsjepa.watch.command import check_port, first_setting, watch
 from tsjepa.watch.fleet import DOWN_S, PUSH_SLOTS, RunningFleet
 from tsjepa.watch.setting import Setting
 
@@ -126,3 +131,43 @@ def test_who_has_failed_is_shown_as_failed_and_starts_anew():
         assert (anew - first + 1) * SLOT >= DOWN_S
         assert not failed[anew, device]
     assert (running.snapshot().score < 0.5).all()
+
+
+@pytest.mark.parametrize(("loss", "slider"), [(None, 0.0), (IidLoss(0.3), 0.3)])
+def test_the_sliders_stand_as_the_radio_says(loss, slider):
+    radio = Radio(snr_target_db=7.0, codec="fp16", loss=loss)
+    assert first_setting(Loop(PLANT, "linear", "max_age", 3, radio=radio)) == Setting(3, 7.0, slider, "max_age", "fp16")
+
+
+@pytest.mark.parametrize(
+    ("radio", "named"),
+    [
+        (Radio(lossless=True), "neither lossless nor trace"),
+        (Radio(snr_target_db=(5.0, 10.0)), "one snr_target_db"),
+        (Radio(loss=GilbertElliott(0.1, 0.3)), "loss is a GilbertElliott"),
+    ],
+)
+def test_a_radio_that_sliders_cannot_set_is_refused(radio, named):
+    with pytest.raises(ValueError, match=named):
+        first_setting(Loop(PLANT, "linear", num_devices=3, radio=radio))
+
+
+def test_a_port_that_cannot_be_had_is_named_with_the_reason(monkeypatch):
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        with pytest.raises(OSError, match=os.strerror(errno.EADDRINUSE)):
+            check_port(taken.getsockname()[1])
+
+    def forbidden(*_):
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+
+    monkeypatch.setattr(socket.socket, "bind", forbidden)
+    with pytest.raises(OSError, match=rf"port 80 .*{os.strerror(errno.EACCES)}.*--port"):
+        check_port(80)
+
+
+@pytest.mark.parametrize("port", [0, 65536])
+def test_a_port_that_is_none_is_refused(port):
+    with pytest.raises(ValueError, match=f"port is {port}"):
+        watch(port=port)

@@ -44,7 +44,7 @@ def main_job(device: torch.device, frames_per_second: float) -> tuple[Precision,
 
     Args:
         device: of the training.
-        frames_per_second: of the camera; infinite where the data set is there.
+        frames_per_second: of the camera, with which the data set is collected.
     """
     recipe, data = (yaml.safe_load(Path(find_recipe(name)).read_text()) for name in (RECIPE, DATA_RECIPE))
     parts = recipe["model"]["init_args"]

@@ -110,7 +110,7 @@ def simulate(
         if noise is not None:
             action = torch.clamp(action + noise[:, slot], low, high)
         if slot < warmup_slots:
-            action = torch.zeros_like(action).clamp(low, high)
+            action = action.new_tensor(spec.rest).repeat(split.episodes, 1)
         observation = fleet.step(observation.set("action", action))["next"]
         states.append(observation["state"])
         scenes.append(seen())

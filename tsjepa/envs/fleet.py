@@ -62,7 +62,7 @@ class FleetEnv(EnvBase):
         self.plant, self.episode_length, self.frame_history = plant, episode_length, frame_history
         self.terminate_on_failure = terminate_on_failure
         spec = plant.spec
-        self._rest = np.clip(0.0, spec.action_low, spec.action_high)
+        self._rest = np.array(spec.rest)
         self._make_specs()
         self._set_seed(seed)
 

@@ -19,7 +19,7 @@ from torchrl.envs import Compose, TransformedEnv
 from tsjepa.envs.fleet import FleetEnv
 from tsjepa.envs.need import watched
 from tsjepa.envs.payload import sends_frames
-from tsjepa.envs.radio_end import actuator, radio_end, rest
+from tsjepa.envs.radio_end import actuator, radio_end
 from tsjepa.envs.settings import Radio
 from tsjepa.envs.transforms import Estimator, HierarchicalEstimator, HoldCommand, linear_model
 from tsjepa.envs.weights import at_weights
@@ -84,7 +84,7 @@ def make_env(
     believes = far_end(controller, plant, radio, blend, between)
     chain = [
         *radio_end(plant, num_devices, scheduler, radio, model, seed),
-        *actuator(plant, radio, rest(plant), isinstance(believes, HoldCommand), seed),
+        *actuator(plant, radio, torch.tensor(plant.spec.rest), isinstance(believes, HoldCommand), seed),
         believes,
     ]
     return TransformedEnv(fleet, Compose(*watched(chain, scheduler, radio, plant, controller, num_devices)))
@@ -96,7 +96,12 @@ def check_fit(model: Controller, plant: Plant) -> None:
     Raises:
         ValueError: naming both values.
     """
-    for name, what in (("slot", "slot in seconds"), ("frame", "frame"), ("action_low", "command range")):
+    for name, what in (
+        ("slot", "slot in seconds"),
+        ("frame", "frame"),
+        ("action_low", "smallest command"),
+        ("action_high", "largest command"),
+    ):
         given, wanted = getattr(model.spec, name), getattr(plant.spec, name)
         if given != wanted:
             raise ValueError(
@@ -111,7 +116,7 @@ def far_end(
     """The last transform: the controller's belief, or the command that the actuator holds."""
     if holds(controller, between):
         between = between if isinstance(controller, Controller) else controller
-        return HoldCommand(between or "hold", rest(plant))
+        return HoldCommand(between or "hold", torch.tensor(plant.spec.rest))
     embeds = isinstance(controller, Controller)
     strides = getattr(controller, "predictor", None)
     if isinstance(strides, HierarchicalPredictor):
@@ -199,7 +204,7 @@ def make_policy(
         law = expert or next(iter(plant.experts().values()))
     held = holds(controller, between)
     reads = (_sent_as(radio) if isinstance(controller, Controller) else "received") if held else "belief"
-    resting = rest(plant)
+    resting = torch.tensor(plant.spec.rest)
     length = 1 if radio.downlink is None else radio.downlink.buffer
     if length > 1 and held:
         raise ValueError(f"A buffer of {length} commands needs a controller that predicts; this one holds its last.")

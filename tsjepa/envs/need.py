@@ -126,7 +126,7 @@ def twin_of(far_end: nn.Module, plant: Plant, controller: str | Controller) -> T
         law=lambda seen, reference: law(seen, reference).to(torch.float32) / (high - low),
         failed=failed,
         predict=far_end.predict if predicts else None,
-        rest=low.new_tensor(np.clip(0.0, low.numpy(), high.numpy())) / (high - low),
+        rest=torch.tensor(plant.spec.rest) / (high - low),
         action_range=high - low,
         holds=not predicts and far_end.between == "hold",
     )

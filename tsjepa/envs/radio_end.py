@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from functools import partial
 
-import numpy as np
 import torch
 from torch import nn
 
@@ -77,7 +76,7 @@ def warm_up(plant: Plant, model: SemanticController) -> Callable[[torch.Tensor],
 
     It has watched every whole stack in them, under the command at rest.
     """
-    at_rest, offsets = rest(plant), model.frame_spacing * torch.arange(model.frame_stack)
+    at_rest, offsets = torch.tensor(plant.spec.rest), model.frame_spacing * torch.arange(model.frame_stack)
     watch = at_weights(model, lambda stacks, commands: model.belief_after(model.encode(stacks), commands))
 
     def begin(scenes: torch.Tensor) -> torch.Tensor:
@@ -86,11 +85,6 @@ def warm_up(plant: Plant, model: SemanticController) -> Callable[[torch.Tensor],
         return watch(pictures[:, first[:, None] + offsets], at_rest.expand(len(scenes), len(first) - 1, -1))
 
     return begin
-
-
-def rest(plant: Plant) -> torch.Tensor:
-    """The command [m] that is nearest to zero."""
-    return torch.tensor(np.clip(0.0, plant.spec.action_low, plant.spec.action_high), dtype=torch.float32)
 
 
 def channel(slot: float, num_devices: int, radio: Radio, seed: int) -> list[nn.Module]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -149,6 +150,9 @@ class Radio:
     requests: Requests | None = None
 
     def __post_init__(self) -> None:
+        for name in ("bandwidth_mhz", "trace_stretch"):
+            if not 0 < getattr(self, name) < math.inf:
+                raise ValueError(f"{name} is {getattr(self, name)}; it has to be a finite number above 0.")
         check_csi(self.csi, self.csi_delay)
         at_least(0, max_doppler_hz=self.max_doppler_hz)
         within(-200, 200, tx_power_dbm=self.tx_power_dbm, snr_threshold_db=self.snr_threshold_db)
@@ -177,6 +181,8 @@ class Radio:
     def _check_trace(self) -> None:
         if isinstance(self.delay, str) and (self.delay != "trace" or self.trace is None):
             raise ValueError(f"delay {self.delay!r} is none: give a law, or 'trace' and a trace.")
+        if self.trace_start_s is not None:
+            at_least(0, trace_start_s=self.trace_start_s)
         if self.trace is not None and (self.lossless or self.harq_ms is not None or self.interference_rise_db):
             raise ValueError("A trace is played as it is: leave lossless, harq_ms and interference_rise_db out.")
 

@@ -1,8 +1,7 @@
-"""Plots of the fleet; each can be drawn anew from the JSON file that lies beside it (:func:`redraw`)."""
+"""Plots of the fleet, each from what the file beside it holds."""
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 from tsjepa.evaluation import style
@@ -10,19 +9,6 @@ from tsjepa.evaluation.metrics import interval
 from tsjepa.evaluation.search import mean
 
 DASHED = ("oracle", "whittle", "max_weight")  # these can lie on top of another scheduler's line
-
-
-def redraw(results: str | Path, picture: str | Path) -> None:
-    """Draws the plot that belongs to a search.json, a fleet.json or an age.json from the file alone."""
-    result = json.loads(Path(results).read_text())
-    if "points" in result:
-        capacity_plot(result, Path(picture))
-    elif "traces" in result:
-        age_growth_plot(result, Path(picture))
-    elif "schedulers" in result:
-        age_plot(result["schedulers"], Path(picture))
-    else:
-        raise ValueError(f"{results} is none of search.json, fleet.json and age.json.")
 
 
 def capacity_plot(result: dict, path: Path) -> None:

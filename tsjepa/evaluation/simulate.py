@@ -220,7 +220,9 @@ def one_fleet(experiment: Experiment, count: int, video: bool, record: str | Non
 def search(experiment: Experiment, sizes: Sequence[int], code: str, resolution: int = 1) -> dict:
     """The largest acceptable fleet of every scheduler, with its files; ``code`` tells two states of the code apart."""
     made, folder, optimal = experiment.made, experiment.folder, experiment.optimal
-    depends_on = {key: made[key] for key in ("settings", "model_sha256", "optimal_policy")} | {"code": code}
+    # the settings name a trace by its path, whatever the file holds
+    depends_on = {key: made[key] for key in ("settings", "model_sha256", "optimal_policy", "trace") if key in made}
+    depends_on["code"] = code
     journal = Journal(folder / "search.journal", depends_on)
     points = []
 

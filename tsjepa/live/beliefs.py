@@ -32,13 +32,15 @@ class Beliefs:
         embedding, _ = graphs.receive(np.zeros((1, graphs.payload_bytes), np.uint8))
         self.embedding = np.zeros((devices, embedding.shape[1]), np.float32)
         self.commands = np.tile(graphs.rest, (devices, HORIZON, 1)).astype(np.float32)  # by slot, modulo the horizon
+        self.plan = np.tile(graphs.rest, (devices, buffer, 1)).astype(np.float32)  # the newest that was sent
+        self.begun = np.full(devices, NEVER)  # its slot
         self.stages = {"act": Durations(), "predict": Durations()}
 
     def forget(self, device: int) -> None:
         """A device has started anew and counts its slots from 0."""
-        self.newest[device] = self.told[device] = NEVER
+        self.newest[device] = self.told[device] = self.begun[device] = NEVER
         self.round_trip[device] = 0
-        self.commands[device] = self.graphs.rest
+        self.commands[device] = self.plan[device] = self.graphs.rest
 
     def update(
         self, device: np.ndarray, slot: np.ndarray, round_trip: np.ndarray, payload: np.ndarray
@@ -80,23 +82,29 @@ class Beliefs:
         return self.told[device] - self.newest[device] + 1
 
     def _hold_until(self, device: np.ndarray, target: np.ndarray) -> None:
-        """In slots for which no command was sent the actuator has held the last one."""
+        """What the actuator has done in the slots before ``target`` for which no command was sent."""
         for number, last, until in zip(device, self.told[device], target, strict=True):
-            held = self.commands[number, last % HORIZON].copy() if last != NEVER else self.graphs.rest
             for gap in range(max(last + 1, until - HORIZON + 1), until):
-                self.commands[number, gap % HORIZON] = held
+                self.commands[number, gap % HORIZON] = self._in_force(number, gap)
+
+    def _in_force(self, device: np.ndarray, slot: np.ndarray) -> np.ndarray:
+        """What actuators do [n, m] in slots from the newest plan's on: they play it and hold its last command."""
+        return self.plan[device, np.minimum(slot - self.begun[device], self.buffer - 1)]
 
     def _tell(
         self, device: np.ndarray, target: np.ndarray, embedding: np.ndarray, command: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        command = np.clip(command, self.graphs.low, self.graphs.high)  # NaN stays, and is not sent
+        command = np.clip(command, self.graphs.low, self.graphs.high)
         self.told[device], self.embedding[device] = target, embedding
-        self.commands[device, target % HORIZON] = command
         plan = [command]
         for _ in range(1, self.buffer):
             embedding, command = self._predict(embedding, plan[-1])
             plan.append(np.clip(command, self.graphs.low, self.graphs.high))
-        return target, np.stack(plan, axis=1)
+        plans = np.stack(plan, axis=1)
+        sent = np.isfinite(plans).all((1, 2))  # a plan with NaN stays here; the actuator goes on with the one before
+        self.plan[device[sent]], self.begun[device[sent]] = plans[sent], target[sent]
+        self.commands[device, target % HORIZON] = self._in_force(device, target)
+        return target, plans
 
     def _predict(self, embedding: np.ndarray, command: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         with self.stages["predict"].timed():

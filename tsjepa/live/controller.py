@@ -67,13 +67,14 @@ def controller(
     if not realtime_factor > 0:
         raise ValueError(f"realtime_factor {realtime_factor} has to be above 0.")
     weather = weather_of(run.slot, seed, loss=loss, delay=delay, jitter=jitter, downlink=True)
-    with ExitStack() as files:
-        lines = files.enter_context(open(log, "w", buffering=1)) if log else None
-        if lines:
-            lines.write("time_s,device,slot\n")
-        write = files.enter_context(recorded(record, run.spec, range(num_devices)))
-        address, seal = parse_address(bind), read_key(key)
-        loop = Controller(run, num_devices, address, seal, weather, buffer, realtime_factor, lines, write)
+    # before a file is begun: whoever starts a second controller on a port keeps the log and the recording of the first
+    loop = Controller(run, num_devices, parse_address(bind), read_key(key), weather, buffer, realtime_factor)
+    with ExitStack() as opened:
+        opened.callback(loop.port.socket.close)
+        loop.record = opened.enter_context(recorded(record, run.spec, range(num_devices)))
+        if log:
+            loop.log = opened.enter_context(open(log, "w", buffering=1))
+            loop.log.write("time_s,device,slot\n")
         run_until_stopped(lambda stop: loop.run(math.inf if seconds is None else seconds, stop))
     result = loop.summary()
     write_report(report, result)

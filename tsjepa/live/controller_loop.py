@@ -36,9 +36,14 @@ class Controller:
         weather: of the commands, or None.
         buffer: N, commands in a packet.
         realtime_factor: how fast time passes, as at the devices.
-        log: is written a line "seconds,device,slot" for every update that is used.
+
+    Attributes:
+        log: is written a line "seconds,device,slot" for every update that is used; None for no log.
         record: takes the age behind every command, in the slot that it is for; None for nobody.
     """
+
+    log: TextIO | None = None
+    record: Record | None = None
 
     def __init__(
         self,
@@ -49,10 +54,8 @@ class Controller:
         weather: Any = None,
         buffer: int = 1,
         realtime_factor: float = 1.0,
-        log: TextIO | None = None,
-        record: Record | None = None,
     ) -> None:
-        self.graphs, self.seal, self.weather, self.log, self.record = graphs, seal, weather, log, record
+        self.graphs, self.seal, self.weather = graphs, seal, weather
         self.beliefs = Beliefs(graphs, devices, buffer)
         self.links = [Link(number) for number in range(devices)]
         self.addresses: list[Address | None] = [None] * devices

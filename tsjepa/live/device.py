@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import ExitStack
 from typing import Any
 
 import numpy as np
@@ -81,30 +82,33 @@ def device(
         raise ValueError(f"realtime_factor {realtime_factor} and watchdog_ms {watchdog_ms} have to be above 0.")
     run = Graphs(graphs, ["device"], reference=None)
     numbers = list(range(number, number + num_devices))
+    # what is wrong is told before a camera is opened and a file begun
+    address, seal = parse_address(controller), read_key(key)
+    safe_command = None if safe is None else checked_safe(safe, run)
     weather = weather_of(run.slot, seed, loss=loss, delay=delay, jitter=jitter, trace=trace)
-    if camera is None:
-        machine = _simulated(run, plant, numbers, seed, episode_slots, frame_history)
-    else:
-        if num_devices > 1:
-            raise ValueError(f"num_devices is {num_devices}; a process with a camera is one device.")
-        machine = Camera(camera, find_actuator(actuator), run.frame, run.frame_stack, run.frame_spacing)
-    with recorded(record, run.spec if camera else machine.plant.spec, numbers) as write:
+    with ExitStack() as opened:
+        if camera is None:
+            machine = _simulated(run, plant, numbers, seed, episode_slots, frame_history)
+        else:
+            if num_devices > 1:
+                raise ValueError(f"num_devices is {num_devices}; a process with a camera is one device.")
+            machine = Camera(camera, find_actuator(actuator), run.frame, run.frame_stack, run.frame_spacing)
+            opened.callback(machine.close)
+        write = opened.enter_context(recorded(record, run.spec if camera else machine.plant.spec, numbers))
         loop = Device(
             run,
             machine,
             numbers,
-            parse_address(controller),
-            read_key(key),
+            address,
+            seal,
             weather,
             period,
             1e-3 * watchdog_ms,
-            None if safe is None else checked_safe(safe, run),
+            safe_command,
             realtime_factor,
             write,
         )
         run_until_stopped(lambda stop: loop.run(slots, stop))
-    if camera is not None:
-        machine.close()
     result = loop.summary()
     write_report(report, result)
     print(

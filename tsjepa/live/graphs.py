@@ -52,7 +52,7 @@ class Graphs:
     @property
     def rest(self) -> np.ndarray:
         """The command [m] that is nearest to zero."""
-        return np.clip(np.float32(0), self.low, self.high)
+        return np.float32(self.spec.rest)
 
     @property
     def spec(self) -> PlantSpec:

@@ -58,8 +58,7 @@ class SimulatedPlants:
     def begin(self, episode: int) -> None:
         """Puts every plant at its start of ``episode``, after the warm-up."""
         self.episode, self.slot = np.full(len(self.devices), episode), 0
-        spec = self.plant.spec
-        rest = np.clip(0.0, spec.action_low, spec.action_high)[None].repeat(len(self.devices), 0)
+        rest = np.array(self.plant.spec.rest)[None].repeat(len(self.devices), 0)
         self.physics = self.plant.start(self.seed, self.devices, self.episode)
         for slot in range(1 - self.history, 0):
             self._picture()

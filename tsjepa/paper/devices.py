@@ -13,6 +13,7 @@ from tsjepa.envs import Radio
 from tsjepa.envs.settings import FULL_BANDWIDTH_MHZ
 from tsjepa.evaluation.metrics import normalized_score
 from tsjepa.evaluation.rollouts import Loop, every, run
+from tsjepa.evaluation.search import AT_LEAST, AT_MOST, EXACT
 from tsjepa.paper import rows
 from tsjepa.radio import GilbertElliott, IidLoss
 from tsjepa.radio.codecs import FRAME_CODECS
@@ -25,7 +26,6 @@ RADIO_FIELDS = ("resource_blocks", "bandwidth_mhz", "snr_target_db", "csi", "csi
 CALIBRATION_SEED = 10_000  # starts that no evaluation reaches
 CALIBRATION_STARTS, CALIBRATION_PERIOD = 10, 10
 RESERVED_OVER_LARGEST = 1.1  # what a device reserves for a picture, over the largest that the expert's loops show
-EXACT, AT_LEAST, AT_MOST = "exact", "at least", "at most"
 
 
 def device_rows(point: dict) -> list[dict]:

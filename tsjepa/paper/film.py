@@ -14,6 +14,7 @@ import numpy as np
 
 from tsjepa.envs import Radio
 from tsjepa.evaluation import rollouts
+from tsjepa.evaluation.fleet_film import has_fallen
 from tsjepa.evaluation.metrics import Run
 from tsjepa.evaluation.rollouts import Loop
 from tsjepa.paper.rows import SAMPLING_INTERVAL, load, plant_of
@@ -184,11 +185,6 @@ def footer(canvas: np.ndarray, slot: int, height: int, bandwidth_mhz: float) -> 
 def inside(run: Run, slot: int) -> np.ndarray:
     """[I] bool: which devices are in the box when the slot begins."""
     return plant_of(SAMPLING_INTERVAL).score(run.state[slot]).numpy()
-
-
-def has_fallen(run: Run, slot: int) -> np.ndarray:
-    """[I] bool: which devices have fallen before the slot, or as it begins."""
-    return run.failed_now[: slot + 1].any(0).numpy()
 
 
 def at(x: float, y: float) -> tuple[int, int]:

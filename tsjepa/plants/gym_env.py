@@ -68,7 +68,7 @@ class Gym(Plant):
             state_names=(*(f"observation_{index}" for index in range(count)), "score", "terminated"),
         )
         bounds = self.spec.action_low, self.spec.action_high
-        self.expert = Rest(*bounds) if expert is None else _OnObservation(load_policy(expert, *bounds))
+        self.expert = Rest(self.spec.rest) if expert is None else _OnObservation(load_policy(expert, *bounds))
         self._running: dict[tuple[int, int], Any] = {}  # by seed and device, with the state that each is in
         self._last: dict[tuple[int, int], np.ndarray] = {}
         env.close()

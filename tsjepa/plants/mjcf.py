@@ -98,7 +98,7 @@ class MuJoCo(MujocoPlant):
         if expert == "lqr":
             self.expert = self._regulator()
         elif expert is None:
-            self.expert = Rest(spec.action_low, spec.action_high)
+            self.expert = Rest(spec.rest)
         else:
             self.expert = load_policy(expert, spec.action_low, spec.action_high)
 

@@ -11,16 +11,15 @@ from torch import Tensor, nn
 
 
 class Rest(nn.Module):
-    """The command nearest to zero, whatever the state.
+    """The same command, whatever the state.
 
     Args:
-        action_low, action_high: range of the command [m].
+        command: [m], such as the one nearest to zero, :attr:`tsjepa.support.spec.PlantSpec.rest`.
     """
 
-    def __init__(self, action_low: Sequence[float], action_high: Sequence[float]) -> None:
+    def __init__(self, command: Sequence[float]) -> None:
         super().__init__()
-        low, high = torch.tensor(action_low), torch.tensor(action_high)
-        self.register_buffer("command", torch.zeros_like(low).clamp(low, high))
+        self.register_buffer("command", torch.tensor(command))
 
     def forward(self, state: Tensor, reference: Tensor | None = None) -> Tensor:
         """Command [..., m] for states [..., n]."""

@@ -77,7 +77,7 @@ class Suite(MujocoPlant):
         still = np.zeros(model.nq + model.nv)
         super().__init__(model, spec, named_view(model, camera), still, process_noise_std)
         low, high = spec.action_low, spec.action_high
-        self.expert = Rest(low, high) if expert is None else load_policy(expert, low, high)
+        self.expert = Rest(spec.rest) if expert is None else load_policy(expert, low, high)
 
     def __getstate__(self) -> dict:
         return {name: value for name, value in super().__getstate__().items() if name != "_environment"}

@@ -167,8 +167,6 @@ class ImageCodec(nn.Module):
             picture = cv2.imdecode(np.frombuffer(packet, dtype=np.uint8), cv2.IMREAD_COLOR)
             if picture is None:
                 raise ValueError("a packet holds no picture that OpenCV can decode")
-            if picture is None:
-                raise ValueError("a packet holds no picture that OpenCV can decode")
             value.copy_(torch.from_numpy(picture[..., ::-1].copy()).view(self.shape))
         return values
 

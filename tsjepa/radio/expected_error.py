@@ -44,18 +44,13 @@ def situation(age: Tensor, informed: Tensor) -> Tensor:
     return torch.where(informed, 0, OLDEST) + age.to(torch.int64).clamp(max=OLDEST) - 1
 
 
-def expected_error(record: ErrorRecord, situations: Tensor) -> Tensor:
-    """Error of the command that is expected of each device, [..., I] float64, in the unit of the errors seen."""
-    return _curves(record).flatten(-2).gather(-1, situations)
-
-
 def expected_gain(record: ErrorRecord, situations: Tensor) -> Tensor:
     """What it is expected to save to hear of a device of age h now, [..., I] float64: sum_{j <= h} e(h) - e(j).
 
     e(j) is the error expected at age j after a delivery. The sum is how much smaller the errors of the h slots after a
     delivery are than the error now; it is Whittle's index of the cost e on a link that loses nothing.
     """
-    curves = _curves(record)
+    curves = expected_errors(record)
     ages = torch.arange(1, OLDEST + 1, dtype=torch.float64, device=curves.device)
     saved = ages * curves - curves[..., :1, :].cumsum(-1)
     return saved.clamp(min=0.0).flatten(-2).gather(-1, situations)
@@ -77,8 +72,8 @@ def learn(record: ErrorRecord, situations: Tensor, error: Tensor, heard: Tensor)
     return ErrorRecord(record.error + here * error.unsqueeze(-1), record.updates + here)
 
 
-def _curves(record: ErrorRecord) -> Tensor:
-    """The fleet's mean error at the ages 1 to OLDEST, [..., 2, OLDEST]: of devices that were heard, and never heard.
+def expected_errors(record: ErrorRecord) -> Tensor:
+    """The fleet's mean error at the ages 1 to OLDEST, [..., 2, OLDEST] float64: of devices heard, and never heard.
 
     Between the cells' ages it is interpolated. A cell that was seen seldom is taken for a part of a random walk, whose
     error grows with the square root of the age. And no error shrinks with age, so that nobody is forgotten who has been

@@ -7,13 +7,7 @@ from torch import Tensor
 
 from tsjepa.radio.streams import normal, uniform
 
-SPEED_OF_LIGHT = 299_792_458.0
 NUM_PATHS = 16
-
-
-def doppler_hz(speed_m_per_s: float, carrier_ghz: float) -> float:
-    """Largest Doppler shift f_D = v f / c."""
-    return speed_m_per_s * carrier_ghz * 1e9 / SPEED_OF_LIGHT
 
 
 def rayleigh_power(seed: int, device: Tensor, episode: Tensor, slot: Tensor, stream: str = "fading") -> Tensor:
@@ -30,7 +24,9 @@ def rayleigh_power(seed: int, device: Tensor, episode: Tensor, slot: Tensor, str
     return -torch.log(uniform(seed, stream, device, episode, slot))
 
 
-def jakes_power(seed: int, device: Tensor, episode: Tensor, time_s: Tensor, max_doppler_hz: float) -> Tensor:
+def jakes_gain(
+    seed: int, device: Tensor, episode: Tensor, time_s: Tensor, max_doppler_hz: float
+) -> tuple[Tensor, Tensor]:
     """Rayleigh fading with Clarke's (Jakes') spectrum, as a sum of ``NUM_PATHS`` plane waves.
 
     The wave amplitudes are complex Gaussian, so that H is exactly complex Gaussian at every instant, and the angles of
@@ -43,16 +39,8 @@ def jakes_power(seed: int, device: Tensor, episode: Tensor, time_s: Tensor, max_
         max_doppler_hz: f_D.
 
     Returns:
-        |H|^2, float64, the broadcast shape, mean 1.
+        Real and imaginary part of H, float64, the broadcast shape; |H|^2 has mean 1.
     """
-    real, imaginary = jakes_gain(seed, device, episode, time_s, max_doppler_hz)
-    return real**2 + imaginary**2
-
-
-def jakes_gain(
-    seed: int, device: Tensor, episode: Tensor, time_s: Tensor, max_doppler_hz: float
-) -> tuple[Tensor, Tensor]:
-    """Real and imaginary part of H in :func:`jakes_power`; same arguments."""
     device, episode, time_s = device.unsqueeze(-1), episode.unsqueeze(-1), time_s.unsqueeze(-1)
     path = torch.arange(NUM_PATHS, device=device.device)
     offset = uniform(seed, "fading", device, episode, torch.full_like(path[:1], -1))

@@ -109,7 +109,14 @@ def unit_bits(snr: Tensor) -> Tensor:
 
 
 def units_per_slot(sampling_interval: float) -> int:
-    """Resource units in a slot of ``sampling_interval`` seconds: 106 blocks x whole milliseconds (2120 at 20 ms)."""
+    """Resource units in a slot of ``sampling_interval`` seconds: 106 in each millisecond, 2120 at 20 ms.
+
+    The radio's own slots last 1 ms (TS 38.211, Table 4.3.2-1, 15 kHz subcarriers). Where they do not fit evenly, a slot
+    has as many units as it has on average, rounded down: 159 at 1.5 ms, which holds one and two of them in turn.
+
+    Raises:
+        ValueError: the slot holds less than one unit.
+    """
     units = int(NUM_RESOURCE_BLOCKS * round(sampling_interval / UNIT_DURATION_S, 9))
     if units < 1:
         raise ValueError(f"a slot of {sampling_interval:g} s holds no resource unit: use at least 1 ms")

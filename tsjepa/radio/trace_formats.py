@@ -22,8 +22,8 @@ from tsjepa.support.tables import Table, read_json_rows, read_table
 MOST_BYTES = 2 << 30  # of one log; they are read whole
 
 
-def read_log(path: Path, columns: dict[str, str], period_s: float | None = None) -> Log:
-    """Reads one log of one link, whatever its kind.
+def read_links(path: Path, columns: dict[str, str], period_s: float | None = None) -> dict[str, Log]:
+    """The links of one log: one by "", or where a table has a column of devices, one a device, by "NAME=DEVICE".
 
     Args:
         path: text or Parquet.
@@ -32,16 +32,6 @@ def read_log(path: Path, columns: dict[str, str], period_s: float | None = None)
 
     Raises:
         ValueError: it is no log of a radio link that is known, or holds no row.
-    """
-    found = _parse(path, columns, period_s)
-    return found if isinstance(found, Log) else table_log(found, columns, path.name)
-
-
-def read_links(path: Path, columns: dict[str, str], period_s: float | None = None) -> dict[str, Log]:
-    """The links of one log: one, or where a table has a column of devices, one a device, by "FILE NAME=DEVICE".
-
-    Raises:
-        ValueError: as :func:`read_log`.
     """
     found = _parse(path, columns, period_s)
     if isinstance(found, Log):

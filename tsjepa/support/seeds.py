@@ -12,6 +12,9 @@ def derive(seed: int, *purpose: str | int) -> int:
     """Seed of the stream with that purpose, in [2**62, 2**63): no two purposes share one, and none is a small number
     that somebody gives by hand.
 
+    Callers that name one purpose draw from one stream. Only those do that take each other's place, so that what they
+    make of it can be compared.
+
     Args:
         seed: of the run.
         purpose: words and numbers, such as ``("windows", epoch)``.

@@ -87,6 +87,12 @@ class PlantSpec:
         """max(u) - min(u) of the actuator, by which command errors are divided."""
         return tuple(high - low for low, high in zip(self.action_low, self.action_high, strict=True))
 
+    @property
+    def rest(self) -> tuple[float, ...]:
+        """The command nearest to zero."""
+        ranges = zip(self.action_low, self.action_high, strict=True)
+        return tuple(float(min(max(0.0, low), high)) for low, high in ranges)
+
     def to_dict(self) -> dict[str, Any]:
         """Plain lists and numbers, for JSON and YAML."""
         return {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(self).items()}

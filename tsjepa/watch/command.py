@@ -11,8 +11,9 @@ from tsjepa.evaluation.rollouts import Loop
 from tsjepa.evaluation.simulate import load_controller, plant_for
 from tsjepa.models import Controller
 from tsjepa.plants import Plant
+from tsjepa.radio import IidLoss
 from tsjepa.radio.schedulers import SCHEDULERS
-from tsjepa.support.checks import at_least
+from tsjepa.support.checks import at_least, within
 from tsjepa.watch.process import running
 from tsjepa.watch.screen import Screen
 from tsjepa.watch.setting import Setting, with_setting
@@ -50,9 +51,10 @@ def watch(
         ValueError: an argument that cannot be.
         FileNotFoundError: there is no such controller.
         ModuleNotFoundError: NiceGUI is not installed.
-        OSError: the port is in use.
+        OSError: the port cannot be had.
     """
-    at_least(1, num_devices=num_devices, port=port)
+    at_least(1, num_devices=num_devices)
+    within(1, 65535, port=port)
     if importlib.util.find_spec("nicegui") is None:
         raise ModuleNotFoundError("The page needs the package nicegui: pip install 'tsjepa[watch]'.")
     from tsjepa.watch.page import serve
@@ -80,7 +82,12 @@ def first_setting(loop: Loop) -> Setting:
         raise ValueError(
             "A radio to be watched needs a channel and one snr_target_db: give neither lossless nor trace."
         )
-    loss = getattr(radio.loss, "probability", 0.0)
+    if not isinstance(radio.loss, IidLoss | None):
+        raise ValueError(
+            f"The slider sets the probability of an IidLoss, and the radio's loss is a {type(radio.loss).__name__}: "
+            "give an IidLoss, or leave loss out."
+        )
+    loss = 0.0 if radio.loss is None else radio.loss.probability
     return Setting(loop.num_devices, float(radio.snr_target_db), loss, loop.scheduler, radio.codec)
 
 
@@ -104,4 +111,6 @@ def check_port(port: int) -> None:
         try:
             probe.bind(("127.0.0.1", port))
         except OSError as error:
-            raise OSError(f"The port {port} is in use: choose another one with --port.") from error
+            raise OSError(
+                f"The port {port} cannot be had ({error.strerror}): choose another one with --port."
+            ) from error

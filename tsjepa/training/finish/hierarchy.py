@@ -124,6 +124,9 @@ class FitHierarchy(Finish):
             self.jumps,
             self.batch_size,
             self.learning_rate,
+            # RefinePredictor's stream, for this takes its place, so that the two can be compared: of one seed and batch
+            # size both draw the same trajectories, and the same ones from their starts. Where within the others a
+            # roll-out begins differs with the horizon.
             derive(run_seed(), "refine"),
             self.start_share,
             self.consistency_weight,
