@@ -98,6 +98,22 @@ def test_packets_that_come_twice_or_out_of_order_count_once(tmp_path):
     assert "1 packets were received twice; the first counts." in log.notes
 
 
+@pytest.mark.parametrize(
+    ("size", "start", "count", "every"),
+    [(1 << 16, 65500, 101, 2), (1 << 16, 0, 66_001, 10), (1 << 32, 4294967290, 21, 2)],
+)
+def test_numbers_that_start_again_are_counted_on(tmp_path, size, start, count, every):
+    """One packet of ``every`` came, and where the numbers start again two came in the wrong order."""
+    kept = list(range(0, count, every))
+    turn = next(place for place, k in enumerate(kept) if start + k >= size)
+    kept[turn - 1 : turn + 1] = kept[turn], kept[turn - 1]
+    rows = [f"{(start + k) % size},{k / 50:.2f},{k / 50 + 0.004:.3f}\n" for k in kept]
+    log = log_of(tmp_path / "log.csv", "seq,tx_time,rx_time\n" + "".join(rows))
+    np.testing.assert_array_equal(log.columns["lost"], np.arange(count) % every > 0)
+    np.testing.assert_allclose(log.time_s, np.arange(count) / 50, atol=1e-9)
+    assert "The sequence numbers start again 1 times; they are counted on." in log.notes
+
+
 def test_ping(tmp_path):
     lines = ["PING host (10.0.0.1) 56(84) bytes of data."]
     lines += [f"[17000000{k:02d}.5] 64 bytes from 10.0.0.1: icmp_seq={k} ttl=60 time={10 + k}.5 ms" for k in (1, 2, 5)]

@@ -8,6 +8,7 @@ from decimal import Decimal, InvalidOperation
 import numpy as np
 
 from tsjepa.radio.trace_log import Log
+from tsjepa.radio.trace_numbers import counts_of
 from tsjepa.support.stamps import SECONDS, since_1970, split_unit
 
 SEQUENCE = ("seqnum", "seq", "sequence", "seq_num", "sequence_number", "icmp_seq", "packet_id", "pkt_id")
@@ -33,7 +34,10 @@ def packet_log(name: str, rows: list[dict], sequence: str, notes: list[str]) -> 
         raise ValueError(f"{name} holds no packet with a number and a time.")
     if len(packets) < len(rows):
         notes.append(f"{len(rows) - len(packets)} rows have no number or time and are left out.")
-    numbers, first = np.unique(packets[:, 0], return_index=True)
+    counts, starts = counts_of(packets[:, 0])
+    if starts:
+        notes.append(f"The sequence numbers start again {starts} times; they are counted on.")
+    numbers, first = np.unique(counts, return_index=True)
     if len(first) < len(packets):
         notes.append(f"{len(packets) - len(first)} packets were received twice; the first counts.")
     span = int(numbers[-1] - numbers[0]) + 1
