@@ -8,6 +8,7 @@ import pytest
 import recordings as make
 from reading import read_all, shows
 
+from tsjepa.data.import_plan import plan_import
 from tsjepa.data.readers import Streams, open_recording
 
 
@@ -134,6 +135,16 @@ def test_pictures_named_by_their_time(tmp_path):
     shows(episode)
     np.testing.assert_allclose(np.diff(episode.frames.times), 0.05, atol=1e-6)
     assert episode.times[0] == pytest.approx(episode.frames.times[0])
+
+
+def test_numbers_of_ten_digits_with_zeros_before_them_are_no_times(tmp_path):
+    for number, frame in enumerate(make.pictures(8)):
+        cv2.imwrite(str(tmp_path / f"{number:010d}.png"), frame[..., ::-1])
+    make.write_csv(tmp_path / "rows.csv", {"time_s": [k / 10 for k in range(8)], "action": range(8)})
+    recording, (episode,), _ = read_all(tmp_path)
+    shows(episode)
+    assert episode.frames.times is None
+    assert plan_import(recording).slot == pytest.approx(0.1)
 
 
 def test_pictures_in_the_order_of_the_rows_that_name_them(tmp_path):
