@@ -46,7 +46,7 @@ def lag_note(plan: Plan) -> str:
     if plan.lag is None:
         return "The lag from command to motion cannot be told from this recording."
     middle, low, high = plan.lag
-    return f"The motion follows the command by about {middle} frames ({low} to {high})."
+    return f"The motion follows the command by about {middle} slots ({low} to {high})."
 
 
 def import_table(report: dict, folder: Path) -> str:
