@@ -150,6 +150,13 @@ def test_mahimahis_opportunities_are_the_wait_for_the_next_one(tmp_path):
     np.testing.assert_allclose(log.columns["delay_ms"], [3, 5, 50, 30, 10])  # at 0, 20, 40, 60, 80 ms
 
 
+@pytest.mark.parametrize("last", [4001, 4100, 8191])
+def test_a_packet_sent_at_an_opportunity_does_not_wait(tmp_path, last):
+    log = log_of(tmp_path / "link.trace", "".join(f"{ms}\n" for ms in range(1, last + 1)), period_s=0.001)
+    np.testing.assert_array_equal(log.columns["delay_ms"], np.arange(last) == 0)  # the first is 1 ms away
+    np.testing.assert_allclose(log.time_s, np.arange(last) / 1000, atol=1e-12)
+
+
 def test_a_pause_of_the_log_is_not_a_loss(tmp_path):
     log = log_of(tmp_path / "a.csv", "time_s,delay_ms\n" + "".join(f"{k},5\n" for k in (0, 1, 2, 3, 20, 21)))
     assert outages(log) == [{"start_s": 3, "duration_s": 17, "kind": "not logged"}]
