@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from tsjepa.cli import main
+from tsjepa.radio import trace_import
 from tsjepa.radio.trace_formats import read_log
 from tsjepa.radio.trace_import import describe, import_trace, outages, parse_columns
 from tsjepa.radio.traces import read_trace
@@ -178,6 +179,18 @@ def test_the_normal_form_has_the_columns_that_the_logs_tell_and_a_device_a_file(
     assert [entry["name"] for entry in report["skipped"]] == ["README.md"]
     assert (tmp_path / "out.png").is_file() and "received 59 of 60" in capsys.readouterr().out
     assert sorted(file.name for file in tmp_path.iterdir()) == ["logs", "out.json", "out.parquet", "out.png"]
+
+
+def test_an_import_that_fails_leaves_table_picture_and_report_of_the_one_before(tmp_path, monkeypatch):
+    (tmp_path / "log.json").write_text(packets({7}, -8))
+    import_trace(str(tmp_path / "log.json"), str(tmp_path / "out.parquet"))
+    before = {file.name: file.read_bytes() for file in tmp_path.iterdir()}
+    (tmp_path / "other.json").write_text(packets({7, 9}, -8))
+    monkeypatch.setattr(trace_import, "draw", lambda path, logs: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        import_trace(str(tmp_path / "other.json"), str(tmp_path / "out.parquet"))
+    (tmp_path / "other.json").unlink()
+    assert {file.name: file.read_bytes() for file in tmp_path.iterdir()} == before
 
 
 def test_inspect_tells_a_log_and_how_to_import_it(tmp_path, capsys):
