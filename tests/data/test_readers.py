@@ -1,6 +1,9 @@
 """Tables, videos, pictures and the choice of a reader, against small recordings whose contents are known."""
 
 import json
+import os
+import resource
+import shutil
 
 import cv2
 import numpy as np
@@ -168,6 +171,47 @@ def test_hundreds_of_episodes_are_not_opened_before_they_are_asked_for(tmp_path,
     assert not asked
     next(recording.episodes())
     assert len(asked) == 1
+
+
+def lerobot_with_pictures_in_its_rows(path, episodes):
+    """One file an episode, all the same."""
+    pa, pq = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
+    make.lerobot_v2(path, [8])
+    shutil.rmtree(path / "videos")
+    file = path / "data/chunk-000/episode_000000.parquet"
+    cells = [cv2.imencode(".png", frame[..., ::-1])[1].tobytes() for frame in make.pictures(8)]
+    pq.write_table(pq.read_table(file).append_column("observation.images.front", pa.array(cells)), file)
+    for episode in range(1, episodes):
+        shutil.copy(file, file.with_name(f"episode_{episode:06d}.parquet"))
+
+
+def npz_files(path, episodes):
+    path.mkdir()
+    for episode in range(episodes):
+        make.npz(path / f"{episode}.npz", 8)
+
+
+def hdf5_files(path, episodes):
+    make.aloha(path, [8])
+    for episode in range(1, episodes):
+        shutil.copy(path / "episode_0.hdf5", path / f"episode_{episode}.hdf5")
+
+
+@pytest.mark.parametrize("write", [npz_files, hdf5_files, lerobot_with_pictures_in_its_rows])
+def test_a_recording_may_have_more_episodes_than_files_may_be_open(tmp_path, write):
+    write(tmp_path / "recording", 100)
+    before = resource.getrlimit(resource.RLIMIT_NOFILE)
+    in_use = {int(number) for number in os.listdir("/dev/fd")}
+    last = [number for number in range(1000) if number not in in_use][50]
+    resource.setrlimit(resource.RLIMIT_NOFILE, (last, before[1]))
+    try:
+        _, episodes, skipped = read_all(tmp_path / "recording")
+        assert len(episodes) == 100 and not skipped
+        for episode in episodes:
+            np.testing.assert_array_equal(episode.frames.read([3]), make.pictures(4)[3:])
+        shows(episodes[0])
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, before)
 
 
 def test_several_cameras_are_named_and_one_is_chosen(tmp_path):
