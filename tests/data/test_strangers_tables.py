@@ -110,6 +110,15 @@ def test_times_in_arrays_have_the_unit_of_their_key(tmp_path):
     np.testing.assert_allclose(episode.times - episode.times[0], np.arange(ROWS) / RATE, atol=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("start", "line"), [("t,u\n", 3), ("# of 3 May\n\n# by hand\nt,u\n\n", 7), ("# t,u\n", 3), ('t,"u\nv"\n', 4)]
+)
+def test_the_line_of_a_short_row_is_that_of_the_file(tmp_path, start, line):
+    (tmp_path / "rows.csv").write_text(start + "0,1\n1\n2,3\n")
+    with pytest.raises(ValueError, match=f"names 2 columns and line {line} has 1 cells"):
+        read_table(tmp_path / "rows.csv")
+
+
 def test_a_damaged_archive_is_one_sentence(tmp_path):
     (tmp_path / "rows.csv.gz").write_bytes(gzip.compress(text().encode())[:-9])
     with pytest.raises(ValueError, match=r"rows\.csv\.gz cannot be unpacked"):

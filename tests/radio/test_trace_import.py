@@ -211,7 +211,7 @@ def test_inspect_tells_a_log_and_how_to_import_it(tmp_path, capsys):
             '{"seq": 1, "sent_ns": 1700000000000000000}\n{"seq": 9000000000, "sent_ns": 1700000000000000001}\n',
             "run over",
         ),
-        ('{"a": 1}\n{"a": \n', "line 2 of log.txt is no JSON"),
+        ('{"a": 1}\n\n{"a": \n', "line 3 of log.txt is no JSON"),
         ("version https://git-lfs.github.com/spec/v1\n", "Git LFS pointer"),
         ("5\n3\n", "do not rise"),
     ],

@@ -88,7 +88,9 @@ def packet_table(name: str, table: Table) -> Log | None:
 
 def json_log(path: Path, text: str, lines: list[str], columns: dict[str, str]) -> Log | Table:
     rows = []
-    for number, line in enumerate(lines, 1):
+    for number, line in enumerate(text.splitlines(), 1):
+        if not line.strip():
+            continue
         try:
             row = json.loads(line)
         except ValueError as error:
