@@ -94,7 +94,7 @@ def test_a_cut_covers_every_picture():
 
 def test_short_episodes_are_skipped_named_and_counted(tmp_path):
     _, report, splits = run(make.lerobot_v2(tmp_path / "recording", [9, 3, 9]), tmp_path / "set")
-    assert [entry["name"] for entry in report["skipped"]] == ["episode 1"]
+    assert [entry["name"] for entry in report["skipped"]] == ["episode 1"] and report["episodes"] == 2
     assert "3 pictures are too few for 4 slots" in report["skipped"][0]["reason"]
     assert sum(len(split) for split in splits.values()) == 4
 
