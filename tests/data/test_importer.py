@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,9 +11,12 @@ import recordings as make
 
 from tsjepa import cli
 from tsjepa.data.cutting import starts
-from tsjepa.data.import_plan import merge_notes
+from tsjepa.data.import_plan import merge_notes, plan_import
 from tsjepa.data.importer import import_recording, resize
 from tsjepa.data.inspect import inspect_recording
+from tsjepa.data.readers import Episode
+from tsjepa.data.readers.pictures import ArrayPictures
+from tsjepa.data.report import lag_note
 from tsjepa.data.storage import open_split, read_metadata
 
 
@@ -90,7 +94,7 @@ def test_a_cut_covers_every_picture():
 
 def test_short_episodes_are_skipped_named_and_counted(tmp_path):
     _, report, splits = run(make.lerobot_v2(tmp_path / "recording", [9, 3, 9]), tmp_path / "set")
-    assert [entry["name"] for entry in report["skipped"]] == ["episode 1"]
+    assert [entry["name"] for entry in report["skipped"]] == ["episode 1"] and report["episodes"] == 2
     assert "3 pictures are too few for 4 slots" in report["skipped"][0]["reason"]
     assert sum(len(split) for split in splits.values()) == 4
 
@@ -234,6 +238,21 @@ def test_no_picture_is_kept_longer_than_its_block(tmp_path, monkeypatch):
 
 def test_the_same_note_of_several_episodes_is_one_sentence():
     assert merge_notes(["a: x.", "y.", "b: x.", "c: x.", "d: x."]) == ["a, b, c and 1 more: x.", "y."]
+
+
+@pytest.mark.parametrize("rate_hz", [20, 100, 1000])
+def test_the_lag_is_told_in_slots_however_fast_the_rows_come(rate_hz):
+    """A state that follows its command by 0.2 s, beside pictures at 20 Hz."""
+    count, lag = 8 * rate_hz, rate_hz // 5
+    command = np.cumsum(np.random.default_rng(0).normal(size=(count, 3)), axis=0).astype(np.float32)
+    state = np.concatenate([np.repeat(command[:1], lag, axis=0), command[:-lag]])
+    pictures = ArrayPictures(make.pictures(160), times=np.arange(160) / 20)
+    names, units = ["a", "b", "c"], ["rad"] * 3
+    episode = Episode("one", pictures, command, names, units, state, names, units, np.arange(count) / rate_hz)
+    recording = SimpleNamespace(rate_hz=None, notes=[], episodes=lambda: iter([episode]))
+    assert plan_import(recording).lag == (4, 4, 4)
+    plan = plan_import(recording, slot=0.1)
+    assert plan.lag == (2, 2, 2) and "by about 2 slots" in lag_note(plan)
 
 
 def test_inspect_says_what_import_does_and_names_the_command(tmp_path, capsys):

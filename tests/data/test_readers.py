@@ -1,6 +1,9 @@
 """Tables, videos, pictures and the choice of a reader, against small recordings whose contents are known."""
 
 import json
+import os
+import resource
+import shutil
 
 import cv2
 import numpy as np
@@ -8,6 +11,7 @@ import pytest
 import recordings as make
 from reading import read_all, shows
 
+from tsjepa.data.import_plan import plan_import
 from tsjepa.data.readers import Streams, open_recording
 
 
@@ -136,6 +140,16 @@ def test_pictures_named_by_their_time(tmp_path):
     assert episode.times[0] == pytest.approx(episode.frames.times[0])
 
 
+def test_numbers_of_ten_digits_with_zeros_before_them_are_no_times(tmp_path):
+    for number, frame in enumerate(make.pictures(8)):
+        cv2.imwrite(str(tmp_path / f"{number:010d}.png"), frame[..., ::-1])
+    make.write_csv(tmp_path / "rows.csv", {"time_s": [k / 10 for k in range(8)], "action": range(8)})
+    recording, (episode,), _ = read_all(tmp_path)
+    shows(episode)
+    assert episode.frames.times is None
+    assert plan_import(recording).slot == pytest.approx(0.1)
+
+
 def test_pictures_in_the_order_of_the_rows_that_name_them(tmp_path):
     for number, frame in enumerate(make.pictures(8)):
         cv2.imwrite(str(tmp_path / f"{chr(104 - number)}.png"), frame[..., ::-1])
@@ -157,6 +171,47 @@ def test_hundreds_of_episodes_are_not_opened_before_they_are_asked_for(tmp_path,
     assert not asked
     next(recording.episodes())
     assert len(asked) == 1
+
+
+def lerobot_with_pictures_in_its_rows(path, episodes):
+    """One file an episode, all the same."""
+    pa, pq = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
+    make.lerobot_v2(path, [8])
+    shutil.rmtree(path / "videos")
+    file = path / "data/chunk-000/episode_000000.parquet"
+    cells = [cv2.imencode(".png", frame[..., ::-1])[1].tobytes() for frame in make.pictures(8)]
+    pq.write_table(pq.read_table(file).append_column("observation.images.front", pa.array(cells)), file)
+    for episode in range(1, episodes):
+        shutil.copy(file, file.with_name(f"episode_{episode:06d}.parquet"))
+
+
+def npz_files(path, episodes):
+    path.mkdir()
+    for episode in range(episodes):
+        make.npz(path / f"{episode}.npz", 8)
+
+
+def hdf5_files(path, episodes):
+    make.aloha(path, [8])
+    for episode in range(1, episodes):
+        shutil.copy(path / "episode_0.hdf5", path / f"episode_{episode}.hdf5")
+
+
+@pytest.mark.parametrize("write", [npz_files, hdf5_files, lerobot_with_pictures_in_its_rows])
+def test_a_recording_may_have_more_episodes_than_files_may_be_open(tmp_path, write):
+    write(tmp_path / "recording", 100)
+    before = resource.getrlimit(resource.RLIMIT_NOFILE)
+    in_use = {int(number) for number in os.listdir("/dev/fd")}
+    last = [number for number in range(1000) if number not in in_use][50]
+    resource.setrlimit(resource.RLIMIT_NOFILE, (last, before[1]))
+    try:
+        _, episodes, skipped = read_all(tmp_path / "recording")
+        assert len(episodes) == 100 and not skipped
+        for episode in episodes:
+            np.testing.assert_array_equal(episode.frames.read([3]), make.pictures(4)[3:])
+        shows(episodes[0])
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, before)
 
 
 def test_several_cameras_are_named_and_one_is_chosen(tmp_path):

@@ -45,6 +45,8 @@ TEXTS = {
     "nanoseconds.csv": text(names=("timestamp_ns", "action"), **NS),
     "nanoseconds-in-no-name.csv": text(names=("timestamp", "cmd"), **NS),
     "microseconds.csv": text(names=("time_us", "u"), unit=1000, start=SINCE_1970),
+    "nanoseconds-of-uptime.csv": text(names=("t_ns", "action"), unit=1, start=200_000 * 10**9),
+    "milliseconds-in-seconds.csv": text(names=("time_s", "action"), unit=10**6, start=SINCE_1970),
     "milliseconds-from-zero.csv": text(names=("t_ms", "action"), unit=10**6),
     "elapsed.csv": text(names=("elapsed_time", "command")),
     "dates.csv": "time,action\n"
@@ -77,6 +79,44 @@ def test_dates_in_zones_are_one_clock():
     np.testing.assert_allclose(np.diff(as_seconds(words, 1.0)), [1, 1])
     with pytest.raises(ValueError, match="words instead of numbers or dates"):
         as_seconds(np.array(["yesterday"], dtype=object), 1.0)
+
+
+@pytest.mark.parametrize(
+    ("stamp", "named", "second"),
+    [
+        (2e14, 1e-9, 2e5),  # of a machine that has been up for 56 hours
+        (2e11, 1e-6, 2e5),
+        (1.7e12, 1e-3, 1.7e9),
+        (1.7e18, 1.0, 1.7e9),  # no unit is named, or one that puts them beyond the year 5000
+        (1.7e15, 1e-3, 1.7e9),
+        (1.7e12, 1.0, 1.7e9),
+        (1.7e9, 1.0, 1.7e9),
+    ],
+)
+def test_the_size_of_a_stamp_tells_its_unit_only_where_the_name_cannot_be_right(stamp, named, second):
+    np.testing.assert_allclose(as_seconds(np.array([stamp]), named), [second])
+
+
+def test_dates_are_read_whatever_unit_their_column_names():
+    words = np.array(["1970-01-02T00:00:00", "1970-01-02T00:00:01"], dtype=object)
+    np.testing.assert_allclose(as_seconds(words, 1e-3), [86400, 86401])
+
+
+def test_times_in_arrays_have_the_unit_of_their_key(tmp_path):
+    np.savez(
+        tmp_path / "a.npz", pixels=make.pictures(ROWS), action=FORCE, t_ns=2 * 10**14 + np.arange(ROWS) * 5 * 10**7
+    )
+    (episode,) = open_recording(tmp_path / "a.npz", Streams(time="t_ns")).episodes()
+    np.testing.assert_allclose(episode.times - episode.times[0], np.arange(ROWS) / RATE, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("start", "line"), [("t,u\n", 3), ("# of 3 May\n\n# by hand\nt,u\n\n", 7), ("# t,u\n", 3), ('t,"u\nv"\n', 4)]
+)
+def test_the_line_of_a_short_row_is_that_of_the_file(tmp_path, start, line):
+    (tmp_path / "rows.csv").write_text(start + "0,1\n1\n2,3\n")
+    with pytest.raises(ValueError, match=f"names 2 columns and line {line} has 1 cells"):
+        read_table(tmp_path / "rows.csv")
 
 
 def test_a_damaged_archive_is_one_sentence(tmp_path):

@@ -39,10 +39,10 @@ def test_the_arm_has_five_episodes_and_a_clock_one_frame_ahead(tmp_path):
 
 
 @pytest.mark.slow
-def test_the_humanoid_has_one_episode_whose_state_follows_by_nine_frames(tmp_path):
+def test_the_humanoid_has_one_episode_whose_state_follows_by_nine_slots(tmp_path):
     report, _, _ = imported("recordings/humanoid-lerobot-v21", tmp_path / "set")
     assert report["format"] == "LeRobot v2.1" and report["episodes"] == 1
-    assert report["lag_slots"][0] == 9 and any("by about 9 frames" in note for note in report["notes"])
+    assert report["lag_slots"][0] == 9 and any("by about 9 slots" in note for note in report["notes"])
     assert [(entry["name"], entry["count"]) for entry in report["skipped"]] == [
         ("episode 30", 1),
         ("episodes 0-28, 31-99", 98),

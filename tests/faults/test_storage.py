@@ -1,6 +1,7 @@
 """Full disks, read-only folders, two processes in one folder, and data that is damaged or makes no sense."""
 
 import contextlib
+import errno
 import json
 import os
 import re
@@ -18,6 +19,7 @@ from conftest import DATA, DATA_RECIPE, RECIPE, RUN
 from tensordict import TensorDict
 
 from tsjepa.data.storage import METADATA, open_split
+from tsjepa.data.writing import write_data_set
 from tsjepa.models import entries
 from tsjepa.support.files import exclusive, replace_folder, write_text
 from tsjepa.support.journal import Journal
@@ -106,6 +108,23 @@ def test_a_disk_that_fills_up_meanwhile_is_named(home, command, small_disk, monk
     status, complaint = command("collect", "--config", DATA_RECIPE, "--path", str(small_disk / "data"))
     assert status == 1 and "No space left on device" in complaint
     assert not (small_disk / "data").exists()
+
+
+def test_a_disk_that_fills_up_during_an_import_is_an_error_and_leaves_nothing(tmp_path, monkeypatch):
+    """Where a map has no blocks of its own, the process would die of a signal on the first byte that has no room."""
+    free = 100_000
+
+    def fill(file: int, start: int, size: int) -> None:
+        nonlocal free
+        free -= size
+        if free < 0:
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "posix_fallocate", fill)
+    drive = {"pixels": np.zeros((3, 64, 64, 3), np.uint8), "action": np.zeros((3, 1), np.float32)}
+    with pytest.raises(OSError, match="No space left on device"):
+        write_data_set(tmp_path / "set", {"train": [drive] * 2, "test": [drive]}, {})
+    assert -20_000 < free < 0 and list(tmp_path.iterdir()) == []
 
 
 def test_a_checkpoint_that_does_not_fit_leaves_the_one_before(home, command, file_size_limit):

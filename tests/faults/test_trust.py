@@ -94,6 +94,26 @@ def test_with_trust_a_recipe_may_name_a_class_of_ones_own(home, command, monkeyp
     assert command("validate", "--config", "own.yaml", "--trust")[0] == 0
 
 
+@pytest.mark.parametrize("name", ["inspect", "import"])
+def test_a_reader_that_a_recipe_names_is_not_even_imported_and_one_that_is_typed_is(
+    tmp_path, command, monkeypatch, name
+):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    Path("own_readers.py").write_text("from pathlib import Path\nPath('imported').touch()\n")
+    Path("evil.yaml").write_text("reader: own_readers.Own\n")
+    words = (name, ".", *(["set"] if name == "import" else []))
+    status, complaint = command(*words, "--config", "evil.yaml")
+    assert status == 2 and "The recipe names the reader own_readers.Own" in complaint and "--trust" in complaint
+    assert command(*words, "--reader", "own_readers.Typed", "--config", "evil.yaml")[0] == 2  # the later one wins
+    assert not Path("imported").exists()
+    for own in (["--reader", "own_readers.Own"], ["--reader=own_readers.Own"], ["--config", "evil.yaml", "--trust"]):
+        status, complaint = command(*words, *own)
+        assert status == 2 and "The reader own_readers.Own cannot be imported" in complaint  # it has no such class
+        Path("imported").unlink()
+        sys.modules.pop("own_readers")
+
+
 @pytest.mark.parametrize("name", ["fit", "validate", "test", "predict"])
 def test_a_checkpoint_is_not_unpickled(home, command, name):
     path = home / RUN / "checkpoints" / "last.ckpt"

@@ -35,6 +35,7 @@ TABLES = {
             ",", "timestamp_ns,RTT (us)", lambda k: ((SINCE_1970 * 20 + k) * 50_000_000, int(1000 * DELAY[k]))
         ).encode()
     ),
+    "uptime.csv": rows(",", "t_ns,delay_ms", lambda k: (2 * 10**14 + 50_000_000 * k, DELAY[k])),
     "quoted.csv": rows(",", '"time_ms","delay_s"', lambda k: (f'"{50 * k}"', f'"{DELAY[k] / 1000}"')),
     "commented.txt": "# by hand\n" + rows(" ", "# time_s delay_ms", lambda k: (STEP_S * k, DELAY[k])),
     "dates.csv": rows(",", "datetime,delay_ms", lambda k: (f"2024-01-01T00:00:{STEP_S * k:06.3f}+01:00", DELAY[k])),
@@ -66,6 +67,11 @@ PACKETS = {
     "from-zero.csv": rows(
         ";", "seq;sent_ns;recv_ns",
         lambda k: (NUMBERS[k], NUMBERS[k] * 50_000_000, NUMBERS[k] * 50_000_000 + int(DELAY[k]) * 10**6),
+    ),
+    "uptime.csv": rows(
+        ",", "seq,sent_ns,recv_ns",
+        lambda k: (NUMBERS[k], 2 * 10**14 + NUMBERS[k] * 50_000_000,
+                   2 * 10**14 + NUMBERS[k] * 50_000_000 + int(DELAY[k]) * 10**6),
     ),
     "seconds.jsonl": "".join(
         json.dumps({"seq": int(NUMBERS[k]), "sent_time": round(stamps(k)[0], 4), "timestamp": round(stamps(k)[1], 4)})
@@ -108,3 +114,10 @@ def test_a_dump_of_stations_is_signal_text(tmp_path):
     np.testing.assert_array_equal(
         read_links(tmp_path / "dump.txt", {}, 1.0)[""].columns["rsrp_dbm"], -60.0 - np.arange(5)
     )
+
+
+def test_signal_text_in_rows_has_the_unit_of_its_stamps(tmp_path):
+    texts = [{"timestamp_ns": 2 * 10**14 + 50_000_000 * k, "phy": f"signal: -{60 + k} dBm"} for k in range(5)]
+    (tmp_path / "phy.json").write_text("\n".join(json.dumps(row) for row in texts))
+    log = read_links(tmp_path / "phy.json", {})[""]
+    np.testing.assert_allclose(log.time_s, STEP_S * np.arange(5), atol=1e-6)

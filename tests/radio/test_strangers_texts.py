@@ -58,6 +58,14 @@ def test_the_numbers_of_a_long_ping_start_again(tmp_path):
     np.testing.assert_array_equal(log_of(tmp_path / "ping.txt", "\n".join(rows)).columns["lost"], [0, 0, 0, 1, 0])
 
 
+def test_the_summary_of_a_long_ping_counts_every_start_of_its_numbers(tmp_path):
+    rows = [f"64 bytes from 192.0.2.1: icmp_seq={k % 65536} ttl=57 time=9 ms" for k in range(1, 65601) if k != 65598]
+    lost = log_of(tmp_path / "ping.txt", "\n".join([*rows, "65602 packets transmitted, 65599 received"])).columns[
+        "lost"
+    ]
+    np.testing.assert_array_equal(np.flatnonzero(lost), [65597, 65600, 65601])
+
+
 WINDOWS = {
     "english": ("Pinging 192.0.2.1 with 32 bytes of data:", "Reply from 192.0.2.1: bytes=32 time={}ms TTL=117",
                 "Request timed out.", "Ping statistics for 192.0.2.1:"),

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from tsjepa.cli import main
+from tsjepa.radio import trace_import
 from tsjepa.radio.trace_formats import read_links
 from tsjepa.radio.trace_import import describe, import_trace, outages, parse_columns
 from tsjepa.radio.traces import read_trace
@@ -98,6 +99,22 @@ def test_packets_that_come_twice_or_out_of_order_count_once(tmp_path):
     assert "1 packets were received twice; the first counts." in log.notes
 
 
+@pytest.mark.parametrize(
+    ("size", "start", "count", "every"),
+    [(1 << 16, 65500, 101, 2), (1 << 16, 0, 66_001, 10), (1 << 32, 4294967290, 21, 2)],
+)
+def test_numbers_that_start_again_are_counted_on(tmp_path, size, start, count, every):
+    """One packet of ``every`` came, and where the numbers start again two came in the wrong order."""
+    kept = list(range(0, count, every))
+    turn = next(place for place, k in enumerate(kept) if start + k >= size)
+    kept[turn - 1 : turn + 1] = kept[turn], kept[turn - 1]
+    rows = [f"{(start + k) % size},{k / 50:.2f},{k / 50 + 0.004:.3f}\n" for k in kept]
+    log = log_of(tmp_path / "log.csv", "seq,tx_time,rx_time\n" + "".join(rows))
+    np.testing.assert_array_equal(log.columns["lost"], np.arange(count) % every > 0)
+    np.testing.assert_allclose(log.time_s, np.arange(count) / 50, atol=1e-9)
+    assert "The sequence numbers start again 1 times; they are counted on." in log.notes
+
+
 def test_ping(tmp_path):
     lines = ["PING host (10.0.0.1) 56(84) bytes of data."]
     lines += [f"[17000000{k:02d}.5] 64 bytes from 10.0.0.1: icmp_seq={k} ttl=60 time={10 + k}.5 ms" for k in (1, 2, 5)]
@@ -134,6 +151,13 @@ def test_mahimahis_opportunities_are_the_wait_for_the_next_one(tmp_path):
     np.testing.assert_allclose(log.columns["delay_ms"], [3, 5, 50, 30, 10])  # at 0, 20, 40, 60, 80 ms
 
 
+@pytest.mark.parametrize("last", [4001, 4100, 8191])
+def test_a_packet_sent_at_an_opportunity_does_not_wait(tmp_path, last):
+    log = log_of(tmp_path / "link.trace", "".join(f"{ms}\n" for ms in range(1, last + 1)), period_s=0.001)
+    np.testing.assert_array_equal(log.columns["delay_ms"], np.arange(last) == 0)  # the first is 1 ms away
+    np.testing.assert_allclose(log.time_s, np.arange(last) / 1000, atol=1e-12)
+
+
 def test_a_pause_of_the_log_is_not_a_loss(tmp_path):
     log = log_of(tmp_path / "a.csv", "time_s,delay_ms\n" + "".join(f"{k},5\n" for k in (0, 1, 2, 3, 20, 21)))
     assert outages(log) == [{"start_s": 3, "duration_s": 17, "kind": "not logged"}]
@@ -157,6 +181,18 @@ def test_the_normal_form_has_the_columns_that_the_logs_tell_and_a_device_a_file(
     assert sorted(file.name for file in tmp_path.iterdir()) == ["logs", "out.json", "out.parquet", "out.png"]
 
 
+def test_an_import_that_fails_leaves_table_picture_and_report_of_the_one_before(tmp_path, monkeypatch):
+    (tmp_path / "log.json").write_text(packets({7}, -8))
+    import_trace(str(tmp_path / "log.json"), str(tmp_path / "out.parquet"))
+    before = {file.name: file.read_bytes() for file in tmp_path.iterdir()}
+    (tmp_path / "other.json").write_text(packets({7, 9}, -8))
+    monkeypatch.setattr(trace_import, "draw", lambda path, logs: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        import_trace(str(tmp_path / "other.json"), str(tmp_path / "out.parquet"))
+    (tmp_path / "other.json").unlink()
+    assert {file.name: file.read_bytes() for file in tmp_path.iterdir()} == before
+
+
 def test_inspect_tells_a_log_and_how_to_import_it(tmp_path, capsys):
     (tmp_path / "log.json").write_text(packets({7}, -8))
     assert main(["inspect", str(tmp_path / "log.json")]) == 0
@@ -175,7 +211,7 @@ def test_inspect_tells_a_log_and_how_to_import_it(tmp_path, capsys):
             '{"seq": 1, "sent_ns": 1700000000000000000}\n{"seq": 9000000000, "sent_ns": 1700000000000000001}\n',
             "run over",
         ),
-        ('{"a": 1}\n{"a": \n', "line 2 of log.txt is no JSON"),
+        ('{"a": 1}\n\n{"a": \n', "line 3 of log.txt is no JSON"),
         ("version https://git-lfs.github.com/spec/v1\n", "Git LFS pointer"),
         ("5\n3\n", "do not rise"),
     ],

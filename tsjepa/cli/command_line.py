@@ -13,6 +13,7 @@ import os
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext, redirect_stdout
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ from tsjepa.cli.errors import exit_status, explain
 from tsjepa.support.files import exclusive
 from tsjepa.support.nearest import did_you_mean
 from tsjepa.support.recipes import parse_arguments
-from tsjepa.support.trust import TRUST, everything_trusted, restrict_recipes
+from tsjepa.support.trust import TRUST, everything_trusted, may_import, restrict_recipes
 
 LIGHTNING_COMMANDS = {
     "fit": "train a model",
@@ -166,8 +167,19 @@ def run_command(command: str, options: list[str], program: str = "tsjepa") -> tu
     keep_freed_memory()
     function = function_of(command)
     values = parse_arguments(function, options, f"{program} {command}", COMMANDS[command][1])
+    _refuse_reader_of_a_file(values.get("reader"), options)
     with exclusive(values["output"]) if values.get("output") else nullcontext():
         return values, function(**values)
+
+
+def _refuse_reader_of_a_file(reader: str | None, options: list[str]) -> None:
+    """Code that the user's own words name is the user's; what a recipe names is imported only with ``--trust``."""
+    typed = f"--reader={reader}" in options or ("--reader", reader) in pairwise(options)
+    if reader is not None and not typed and not may_import(reader):
+        raise ValueError(
+            f"The recipe names the reader {reader}, which is not this package's own: add {TRUST} if you trust whoever "
+            "wrote it."
+        )
 
 
 def function_of(command: str) -> Callable:

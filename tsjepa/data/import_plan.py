@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from tsjepa.data.clock import Piece, cut, match_clocks
+from tsjepa.data.clock import Clocks, Piece, cut, match_clocks, typical_interval
 from tsjepa.data.lag import command_lag
 from tsjepa.data.readers import Episode, Recording, Skipped
 from tsjepa.data.readers.episode import all_of
@@ -14,6 +14,7 @@ from tsjepa.support.foreign import reason
 from tsjepa.support.spec import UNKNOWN
 
 SAME_RATE = 0.05  # relative difference of two episodes' intervals that is still one rate
+FINEST_LAG = 4  # parts of a slot that a lag is looked for in: rows that come faster are thinned
 CLAIMED_RATE = 0.01  # a measured interval this near to the claimed one is taken for it
 
 
@@ -38,7 +39,7 @@ class Plan:
         action_names, action_units, state_names, state_units: columns of every part.
         skipped: what cannot be used.
         notes: what is odd, one sentence each.
-        lag: rows from command to motion (median, 10 %, 90 % over columns or episodes), or None where nobody can tell.
+        lag: slots from command to motion (median, 10 %, 90 % over columns or episodes), or None where nobody can tell.
         offsets: seconds by which the rows' clock was ahead, one an episode.
         still, pictures: how many pictures are the same as the one before, of how many; counted when they are read.
     """
@@ -110,7 +111,7 @@ def plan_import(recording: Recording, slot: float | None = None, offset: float |
             name = episode.name if len(pieces) == 1 else f"{episode.name} piece {number}"
             state = None if episode.state is None else episode.state[piece.row]
             parts.append(Part(name, episode, piece, episode.action[piece.row], state))
-        lags.append(_lag(episode, slot))
+        lags.append(_lag(episode, clocks, slot))
         notes += [f"{episode.name}: {note}" for note in [*episode.notes, *clocks.notes, *cut_notes]]
     if not parts:
         raise ValueError(_nothing(skipped))
@@ -186,15 +187,22 @@ def _without_dead_state(episode: Episode) -> Episode:
     return episode
 
 
-def _lag(episode: Episode, slot: float) -> tuple[int, int, int] | None:
-    rows = np.isfinite(episode.action).all(axis=1)
-    if episode.state is None or len(episode.state) != len(rows):
+def _lag(episode: Episode, clocks: Clocks, slot: float) -> tuple[int, int, int] | None:
+    """Slots by which the state follows the command, and their range; None where it cannot be told."""
+    if episode.state is None:
         return None
-    rows &= np.isfinite(episode.state).all(axis=1)
+    interval = typical_interval(clocks.rows) or slot
+    every = max(1, round(slot / interval / FINEST_LAG))
+    rows = np.isfinite(episode.action).all(axis=1) & np.isfinite(episode.state).all(axis=1)
+    rows = np.flatnonzero(rows)[::every]
     same = episode.state_names == episode.action_names or (
         episode.state.shape == episode.action.shape and UNKNOWN in episode.action_units
     )
-    return command_lag(episode.action[rows], episode.state[rows], slot, same)
+    lag = command_lag(episode.action[rows], episode.state[rows], every * interval, same)
+    if lag is None:
+        return None
+    middle, low, high = (round(steps * every * interval / slot) for steps in lag)
+    return middle, low, high
 
 
 def _constant_columns(plan: Plan) -> list[str]:

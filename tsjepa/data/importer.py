@@ -92,14 +92,15 @@ def import_recording(
         if not taken:
             raise ValueError(f"No picture can be used: {plan.skipped[-1].name}: {plan.skipped[-1].reason}")
         splits = split_trajectories(taken, raw, size or taken[0][2], slots, validation, test, seed)
-        report = import_report(plan, recording.format, splits)
+        used = [part for part, _, _ in taken]
+        report = import_report(plan, used, recording.format, splits)
         metadata = {
             "made_by": "tsjepa import",
             "source": {"format": recording.format, "name": Path(path).resolve().name},
             "splits": {name: {"episodes": len(trajectories), "slots": slots} for name, trajectories in splits.items()},
             "slots": slots,
             "seed": seed,
-            "spec": _spec(plan, [part for part, _, _ in taken], size or taken[0][2]).to_dict(),
+            "spec": _spec(plan, used, size or taken[0][2]).to_dict(),
         }
         write_data_set(folder, splits, metadata, {"import.json": json.dumps(report, indent=2) + "\n"})
     finally:

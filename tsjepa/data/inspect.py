@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from tsjepa.data.clock import typical_interval
 from tsjepa.data.import_plan import Plan, plan_import
 from tsjepa.data.readers import Episode, Recording, Skipped, Streams, UnknownFormat, open_recording
 from tsjepa.data.readers.episode import all_of, read_pictures
@@ -135,10 +136,9 @@ def _episode(episode: Episode, plan: Plan) -> dict:
 
 
 def measured_rate(times: np.ndarray | None) -> float | None:
-    """Median rate of a stream, 1/s."""
-    steps = np.diff(times) if times is not None else np.zeros(0)
-    steps = steps[steps > 0]
-    return float(1 / np.median(steps)) if len(steps) else None
+    """Typical rate of a stream with these times (seconds), 1/s; None where they are not known."""
+    interval = None if times is None else typical_interval(times)
+    return None if interval is None else 1 / interval
 
 
 def _streams(recording: Recording, plan: Plan) -> list[dict]:

@@ -8,20 +8,20 @@ from pathlib import Path
 
 import numpy as np
 
-from tsjepa.data.import_plan import Plan
+from tsjepa.data.import_plan import Part, Plan
 from tsjepa.data.readers import Frames
 
 LOSSY = ("yuv420p", "yuvj420p", "yuv422p", "yuvj422p")
 
 
-def import_report(plan: Plan, format_: str, splits: Mapping[str, Sequence]) -> dict:
-    """All that an import says, as plain values."""
-    notes = [*plan.notes, *coding_notes(plan.parts[0].episode.frames), lag_note(plan)]
+def import_report(plan: Plan, taken: Sequence[Part], format_: str, splits: Mapping[str, Sequence]) -> dict:
+    """All that an import says, as plain values; ``taken`` are the pieces that it has used."""
+    notes = [*plan.notes, *coding_notes(taken[0].episode.frames), lag_note(plan)]
     if plan.still:
         notes.append(f"{plan.still} of {plan.pictures} pictures are the same as the one before.")
     return {
         "format": format_,
-        "episodes": len({id(part.episode) for part in plan.parts}),
+        "episodes": len({id(part.episode) for part in taken}),
         "trajectories": {name: len(trajectories) for name, trajectories in splits.items()},
         "slot_s": plan.slot,
         "offset_s": float(np.median(plan.offsets)),
@@ -46,7 +46,7 @@ def lag_note(plan: Plan) -> str:
     if plan.lag is None:
         return "The lag from command to motion cannot be told from this recording."
     middle, low, high = plan.lag
-    return f"The motion follows the command by about {middle} frames ({low} to {high})."
+    return f"The motion follows the command by about {middle} slots ({low} to {high})."
 
 
 def import_table(report: dict, folder: Path) -> str:

@@ -6,6 +6,7 @@ import hashlib
 import json
 import os
 import shutil
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -48,13 +49,20 @@ def check_space(folder: Path, needed: int) -> None:
 
 def start_split(folder: Path, trajectories: TensorDict, frame: tuple[int, int]) -> None:
     """Writes all of one split [episodes, T + 1] but the frames, of ``frame`` (H, W), for which it makes room."""
-    stored = trajectories.memmap(folder)
-    shape = torch.Size((*trajectories.batch_size, *frame, 3))
-    stored.make_memmap("pixels", shape=shape, dtype=torch.uint8)
+    make_map(folder, trajectories.memmap(folder), "pixels", (*trajectories.batch_size, *frame, 3), torch.uint8)
+
+
+def make_map(folder: Path, stored: TensorDict, key: str, shape: Sequence[int], dtype: torch.dtype) -> None:
+    """Adds a tensor of zeros to a split that is ``stored`` in ``folder``, with room for all of it on the disk.
+
+    Raises:
+        OSError: the disk has no room for it.
+    """
+    made = stored.make_memmap(key, shape=torch.Size(shape), dtype=dtype)
     if hasattr(os, "posix_fallocate"):
-        # a map of a file without its blocks ends the process, without a word, on the frame that no longer fits
-        with (folder / "pixels.memmap").open("r+b") as file:
-            os.posix_fallocate(file.fileno(), 0, stored["pixels"].numel())
+        # a map of a file without its blocks ends the process, without a word, on the first byte that no longer fits
+        with (folder / f"{key}.memmap").open("r+b") as file:
+            os.posix_fallocate(file.fileno(), 0, made.numel() * made.element_size())
 
 
 def write_picture(path: Path, image: np.ndarray) -> None:

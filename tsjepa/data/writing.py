@@ -11,7 +11,7 @@ import torch
 from tensordict import TensorDict
 
 from tsjepa.data.contact_sheet import contact_sheet
-from tsjepa.data.storage import check_space, publish, write_picture
+from tsjepa.data.storage import check_space, make_map, publish, write_picture
 
 Trajectory = Mapping[str, np.ndarray]
 
@@ -29,7 +29,7 @@ def write_data_set(
         files: further texts by file name.
 
     Raises:
-        OSError: the disk is too small, said before anything is written.
+        OSError: the disk is too small, said before anything is written, or fills up meanwhile; nothing is left.
     """
     folder.parent.mkdir(parents=True, exist_ok=True)
     first = next(iter(splits.values()))[0]
@@ -44,11 +44,8 @@ def write_data_set(
             frames = len(first["action"])
             split = TensorDict({}, batch_size=[len(trajectories), frames]).memmap_(partial / name)
             for key, array in first.items():
-                split.make_memmap(
-                    key,
-                    shape=torch.Size((len(trajectories), *array.shape)),
-                    dtype=torch.uint8 if array.dtype == np.uint8 else torch.float32,
-                )
+                dtype = torch.uint8 if array.dtype == np.uint8 else torch.float32
+                make_map(partial / name, split, key, (len(trajectories), *array.shape), dtype)
             for place, trajectory in enumerate(trajectories):
                 for key, array in trajectory.items():
                     split[key][place] = torch.from_numpy(np.array(array))

@@ -10,13 +10,13 @@ import numpy as np
 
 from tsjepa.radio.trace_iperf import IPERF, iperf_json_log, iperf_text_log
 from tsjepa.radio.trace_log import Log
-from tsjepa.radio.trace_packets import RECEIVED, SEQUENCE, integer, packet_log
+from tsjepa.radio.trace_packets import RECEIVED, SEQUENCE, integer, nanoseconds, packet_log
 from tsjepa.radio.trace_pings import PING, REPLY, ping_log, reply_log
 from tsjepa.radio.trace_tables import COLUMNS, NOTES, by_device, table_log, text_table
 from tsjepa.radio.trace_texts import POLL, SIGNAL, iw_log, opportunity_log, signal_log
 from tsjepa.support.delimited import flat, kind, read_text
 from tsjepa.support.foreign import refuse_pointer
-from tsjepa.support.stamps import as_seconds, split_unit
+from tsjepa.support.stamps import split_unit
 from tsjepa.support.tables import Table, read_json_rows, read_table
 
 MOST_BYTES = 2 << 30  # of one log; they are read whole
@@ -78,7 +78,9 @@ def packet_table(name: str, table: Table) -> Log | None:
 
 def json_log(path: Path, text: str, lines: list[str], columns: dict[str, str]) -> Log | Table:
     rows = []
-    for number, line in enumerate(lines, 1):
+    for number, line in enumerate(text.splitlines(), 1):
+        if not line.strip():
+            continue
         try:
             row = json.loads(line)
         except ValueError as error:
@@ -114,8 +116,8 @@ def rows_log(path: Path, rows: list[dict], columns: dict[str, str]) -> Log | Tab
         ]
         if not stamps:
             raise ValueError(f"{path.name} is `iw` text without a time.")
-        time = as_seconds(np.array([integer(row.get(stamps[0])) or 0 for row in rows]), 1.0)
-        log = signal_log(time, [str(row.get(texts[0])) for row in rows])
+        time = [stamp or 0 for stamp in nanoseconds([row.get(stamps[0]) for row in rows], stamps[0])]
+        log = signal_log(np.array(time) * 1e-9, [str(row.get(texts[0])) for row in rows])
         log.notes += notes
         return log
     keys = {key.rpartition(".")[2].lower(): key for key in rows[0]}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 from itertools import pairwise
 from pathlib import Path
 
@@ -45,10 +46,17 @@ def import_trace(path: str, output: str, column: str | None = None, period_s: fl
         raise ValueError(f"period_s is {period_s}; it is a time in seconds, such as 0.02.")
     logs, skipped = read_logs(Path(path), parse_columns(column), period_s)
     report = {"devices": [describe(name, log) for name, log in logs.items()], "skipped": skipped}
-    target.parent.mkdir(parents=True, exist_ok=True)
-    write_table(target, list(logs.values()))
-    draw(target.with_suffix(".png"), logs)
-    target.with_suffix(".json").write_text(json.dumps(report, indent=2) + "\n")
+    partial = target.with_suffix(".partial")
+    shutil.rmtree(partial, ignore_errors=True)
+    partial.mkdir(parents=True)
+    try:  # all three are written before one of them replaces what was there
+        write_table(partial / "table", list(logs.values()))
+        draw(partial / "picture", logs)
+        (partial / "report").write_text(json.dumps(report, indent=2) + "\n")
+        for name, suffix in (("table", ".parquet"), ("picture", ".png"), ("report", ".json")):
+            os.replace(partial / name, target.with_suffix(suffix))
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
     print(text(report))
     return report
 
@@ -153,7 +161,7 @@ def outages(log: Log) -> list[dict]:
 
 
 def write_table(path: Path, logs: list[Log]) -> None:
-    """The normal form of all logs; it appears whole or not at all."""
+    """Writes the normal form of all logs as Parquet."""
     pa, parquet = optional("pyarrow"), optional("pyarrow.parquet")
     names = [name for name in COLUMNS if name != "time_s" and any(name in log.columns for log in logs)]
     columns = {
@@ -162,13 +170,11 @@ def write_table(path: Path, logs: list[Log]) -> None:
     }
     for name in names:
         columns[name] = np.concatenate([log.columns.get(name, np.full(len(log.time_s), np.nan)) for log in logs])
-    partial = path.with_name(path.name + ".partial")
-    parquet.write_table(pa.table(columns), partial)
-    os.replace(partial, path)
+    parquet.write_table(pa.table(columns), path)
 
 
 def draw(path: Path, logs: dict[str, Log]) -> None:
-    """Histograms of the delays and of the signal, and what was lost over time."""
+    """Draws, as PNG, histograms of the delays and of the signal, and what was lost over time."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(10, 3), layout="constrained")
@@ -190,7 +196,7 @@ def draw(path: Path, logs: dict[str, Log]) -> None:
     loss_axis.set(xlabel="time (s)", ylabel="packets lost so far")
     if delay_axis.has_data():
         delay_axis.legend(fontsize="x-small")
-    figure.savefig(path, dpi=110)
+    figure.savefig(path, dpi=110, format="png")
 
 
 def text(report: dict) -> str:

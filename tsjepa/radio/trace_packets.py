@@ -8,7 +8,8 @@ from decimal import Decimal, InvalidOperation
 import numpy as np
 
 from tsjepa.radio.trace_log import Log
-from tsjepa.support.stamps import SECONDS, since_1970, split_unit
+from tsjepa.radio.trace_numbers import counts_of
+from tsjepa.support.stamps import seconds_in, split_unit, unit_of
 
 SEQUENCE = ("seqnum", "seq", "sequence", "seq_num", "sequence_number", "icmp_seq", "packet_id", "pkt_id")
 SENT = re.compile(r"(src|sent|send|tx|departure|dep)_?(timestamp|time|stamp|ts|ns)?(_(ns|us|ms|s))?$", re.IGNORECASE)
@@ -33,7 +34,10 @@ def packet_log(name: str, rows: list[dict], sequence: str, notes: list[str]) -> 
         raise ValueError(f"{name} holds no packet with a number and a time.")
     if len(packets) < len(rows):
         notes.append(f"{len(rows) - len(packets)} rows have no number or time and are left out.")
-    numbers, first = np.unique(packets[:, 0], return_index=True)
+    counts, starts = counts_of(packets[:, 0])
+    if starts:
+        notes.append(f"The sequence numbers start again {starts} times; they are counted on.")
+    numbers, first = np.unique(counts, return_index=True)
     if len(first) < len(packets):
         notes.append(f"{len(packets) - len(first)} packets were received twice; the first counts.")
     span = int(numbers[-1] - numbers[0]) + 1
@@ -63,14 +67,13 @@ def _bare(key: str) -> str:
 
 
 def nanoseconds(cells: list, name: str) -> list[int | None]:
-    """Stamps as whole nanoseconds: those since 1970 tell their unit by size, others by their name, or are seconds."""
+    """Stamps as whole nanoseconds, by the unit that their name tells, or else their size; None where there is none."""
     values = [decimal(cell) for cell in cells]
     known = sorted(abs(value) for value in values if value is not None)
     if not known:
         return [None] * len(cells)
     bare, unit = split_unit(name)
-    unit = unit or bare.rpartition("_")[2]
-    scale = since_1970(float(known[len(known) // 2])) or SECONDS.get(unit.lower(), 1.0)
+    scale = unit_of(float(known[len(known) // 2]), seconds_in(unit or bare.rpartition("_")[2]) or 1.0)
     ticks = Decimal(round(scale * 1e9))
     stamps = [None if value is None else int(value * ticks) for value in values]
     return [stamp if stamp is not None and abs(stamp) < 2**62 else None for stamp in stamps]

@@ -7,6 +7,7 @@ import re
 import numpy as np
 
 from tsjepa.radio.trace_log import Log
+from tsjepa.radio.trace_numbers import count_of
 from tsjepa.support.stamps import leading_time
 
 NUMBER = re.compile(r"(?:icmp_)?(?:seq|req)[= ]\s*(\d+)")
@@ -16,7 +17,6 @@ HEADER = re.compile(r"^PING6?\b")
 FROM_ZERO = re.compile(r"Request timeout|hlim=|(?<!icmp_)seq=")  # BSD and BusyBox count from 0, Linux from 1
 REPLY = re.compile(r"^\s*\S.*?:\s+(?:\S+=\d+\s+)?\S+[=<](\d+)\s?ms(?:\s+TTL=\d+)?\s*$", re.IGNORECASE)
 HEAD = re.compile(r"\d.*:\s*$")
-WRAP = 1 << 16  # of the numbers
 ROUND_TRIPS = "The delays are round trips."
 
 
@@ -27,15 +27,13 @@ def ping_log(lines: list[str], period: float) -> Log:
     lost: set[int] = set()
     twice = base = 0
     first = 0 if any(FROM_ZERO.search(line) for line in lines) else 1
-    last, runs = None, 1  # the newest number of this run
+    last, runs = None, 1  # the newest count of this run
     for line in lines:
         if HEADER.match(line) and last is not None:
             base, last, runs = max((*answers, *lost)) + 1 - first, None, runs + 1
         elif match := NUMBER.search(line):
-            number = int(match[1])
-            if last is not None and number < last - WRAP // 2:
-                base += WRAP
-            last, number = number, base + number
+            last = count_of(int(match[1]), last or 0)
+            number = base + last
             if answer := PING.search(line):
                 twice += number in answers
                 answers.setdefault(number, float(answer[2].replace(",", ".")))

@@ -63,9 +63,11 @@ def opportunity_log(milliseconds: np.ndarray, step: float) -> Log:
             f"its delivery opportunities reach to {milliseconds[-1] / 1000:.0f} s: say a longer step than {step:g} s "
             "(--period_s)."
         )
-    time = np.arange(0, milliseconds[-1] / 1000, step)
-    if not len(time):
+    # rounded, or a packet sent at an opportunity, or at the last one, would miss it by the last bit of a double
+    sent = np.round(1000 * step * np.arange(int(milliseconds[-1] / 1000 / step) + 1), 6)
+    sent = sent[sent < milliseconds[-1]]
+    if not len(sent):
         raise ValueError("its delivery opportunities end before the first step.")
-    wait = milliseconds[np.searchsorted(milliseconds, 1000 * time)] - 1000 * time
+    wait = milliseconds[np.searchsorted(milliseconds, sent)] - sent
     notes = [f"{len(milliseconds)} delivery opportunities; the delay is the wait of a packet sent every {step:g} s."]
-    return Log("mahimahi", time, {"delay_ms": wait.astype(float)}, step, notes)
+    return Log("mahimahi", sent / 1000, {"delay_ms": wait.astype(float)}, step, notes)

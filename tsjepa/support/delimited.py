@@ -63,11 +63,23 @@ def without_comments(lines: list[str]) -> list[str]:
     return lines[start:]
 
 
-def split_rows(text: str) -> list[list[str]]:
-    """Cells of every row that is not empty, the header first; comments before it are left out."""
-    lines = without_comments(text.splitlines())
+def split_rows(text: str) -> list[tuple[int, list[str]]]:
+    """The line, from 1, at which it begins, and the cells of every row that is not empty, the header first.
+
+    Comments before the header are left out.
+    """
+    lines = text.splitlines()
+    places = [place for place, line in enumerate(lines, 1) if line.strip()]
+    lines = without_comments(lines)
+    places = places[len(places) - len(lines) :]
     rows = csv.reader(lines, delimiter=delimiter_of(lines[0]) if lines else ",")
-    return [row for row in rows if any(cell.strip() for cell in row)]
+    found = []
+    start = 0
+    for row in rows:
+        if any(cell.strip() for cell in row):
+            found.append((places[start], row))
+        start = rows.line_num  # a cell in quotes may go over several lines
+    return found
 
 
 def delimiter_of(line: str) -> str:

@@ -15,6 +15,7 @@ SECONDS = {
     **dict.fromkeys(("min", "minutes"), 60.0),
 }
 DAY_S = 86400.0
+LATEST_S = 1e11  # since 1970: the year 5138
 CLOCK = re.compile(r"(\d\d?):(\d\d):(\d\d(?:[.,]\d+)?)")
 LEADING = re.compile(
     r"\s*\[?(?P<epoch>\d{9,10}(?:\.\d+)?|\d{13}|\d{16}|\d{19})\]?(?=\s|$)"
@@ -50,15 +51,23 @@ def time_column(table: Mapping[str, np.ndarray], wanted: str | None = None) -> t
 
 
 def as_seconds(stamps: np.ndarray, scale: float) -> np.ndarray:
-    """Seconds; the scale of stamps since 1970 is told by their size, whatever the column is called; dates are read."""
+    """Seconds [N] of stamps [N] that are numbers, dates or times of day.
+
+    Args:
+        stamps: numbers, or an array of objects that are words.
+        scale: seconds in one unit of the numbers, as their column names it, or 1; see :func:`unit_of`.
+
+    Raises:
+        ValueError: a word is neither a date nor a time of day.
+    """
     if stamps.dtype == object:
         clocks = [CLOCK.fullmatch(str(word).strip()) for word in stamps]
         known = [match for match in clocks if match]
         if known and len(known) == len(clocks):
             return clock_seconds([_clock(match) for match in known])
-        stamps = dates(stamps)
+        stamps, scale = dates(stamps), 1e-9
     typical = np.nanmedian(np.abs(stamps)) if np.isfinite(stamps.astype(float)).any() else 0
-    scale = since_1970(float(typical)) or scale
+    scale = unit_of(float(typical), scale)
     if stamps.dtype.kind == "i" and len(stamps):
         return (stamps - stamps[0]) * scale + float(stamps[0]) * scale
     return stamps.astype(float) * scale
@@ -87,7 +96,7 @@ def leading_time(line: str, alone: bool = False) -> float | None:
         return None
     if match["epoch"]:
         value = float(match["epoch"])
-        return value * (since_1970(value) or 1.0)
+        return value * unit_of(value, 1.0)
     if match["date"]:
         return float(dates(np.array([match["date"].replace(",", ".")], dtype=object))[0]) * 1e-9
     clock = CLOCK.match(match["clock"])
@@ -117,9 +126,19 @@ def _date(word: str) -> re.Match[str]:
     return match
 
 
-def since_1970(typical: float) -> float | None:
-    """Seconds in one unit of stamps of this size, if they are milli-, micro- or nanoseconds since 1970."""
-    return next((unit for least, unit in ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3)) if typical >= least), None)
+def unit_of(typical: float, scale: float) -> float:
+    """Seconds in one unit of stamps of the size ``typical``.
+
+    A unit that would put them after the year 5000 is not theirs: they are milli-, micro- or nanoseconds since 1970, and
+    their size tells which.
+
+    Args:
+        typical: the absolute value of a stamp.
+        scale: seconds in the unit that their column names; 1 where it names none.
+    """
+    if typical * scale < LATEST_S:
+        return scale
+    return next((unit for least, unit in ((1e17, 1e-9), (1e14, 1e-6), (LATEST_S, 1e-3)) if typical >= least), scale)
 
 
 def time_scale(name: str) -> float | None:

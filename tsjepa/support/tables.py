@@ -148,8 +148,8 @@ def _arrow_column(pa: Any, column: Any) -> np.ndarray:
 
 
 def _read_csv(path: Path) -> Table:
-    names, *cells = split_rows(read_text(path)) or [[]]
-    names = [name.strip() for name in names]
+    (_, header), *rows = split_rows(read_text(path)) or [(1, [])]
+    names = [name.strip() for name in header]
     while names and not names[-1]:  # a mark at the end of every line
         names.pop()
     if not names:
@@ -160,11 +160,12 @@ def _read_csv(path: Path) -> Table:
         raise ValueError(f"the first line of {path.name} holds numbers instead of names; put the names above it.")
     if len(set(names)) < len(names):
         raise ValueError(f"{path.name} has two columns of the same name.")
-    for number, row in enumerate(cells, 2):
+    for number, row in rows:
         if len(row) < len(names) or any(cell.strip() for cell in row[len(names) :]):
             raise ValueError(f"{path.name} names {len(names)} columns and line {number} has {len(row)} cells.")
     return {
-        name: _column(decimal_points([row[place].strip() or None for row in cells])) for place, name in enumerate(names)
+        name: _column(decimal_points([row[place].strip() or None for _, row in rows]))
+        for place, name in enumerate(names)
     }
 
 

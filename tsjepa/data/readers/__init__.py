@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import importlib
 import os
 from pathlib import Path
 
 from tsjepa.data.readers.episode import Episode, Frames, Recording, Skipped, Streams
 from tsjepa.support.delimited import kind
+from tsjepa.support.description import load_named
 from tsjepa.support.foreign import reason
 from tsjepa.support.tables import SUFFIXES
 
@@ -35,7 +35,7 @@ def open_recording(path: str | Path, streams: Streams | None = None, reader: str
     Args:
         path: file or folder.
         streams: which of its streams are wanted.
-        reader: class path of a reader, instead of telling the format from the files.
+        reader: class path of a reader, instead of telling the format from the files; it is imported, whosever it is.
 
     Raises:
         FileNotFoundError: there is nothing.
@@ -46,7 +46,7 @@ def open_recording(path: str | Path, streams: Streams | None = None, reader: str
     if not path.exists():
         raise FileNotFoundError(f"There is nothing at {path}.")
     streams = streams or Streams()
-    place, kind = (path, load_reader(reader)) if reader else find_recording(path)
+    place, kind = (path, load_named("reader", reader, trusted=True)) if reader else find_recording(path)
     try:
         return kind(place, streams)
     except (MemoryError, ModuleNotFoundError):
@@ -55,26 +55,13 @@ def open_recording(path: str | Path, streams: Streams | None = None, reader: str
         raise ValueError(reason(error)) from error
 
 
-def load_reader(class_path: str) -> type[Recording]:
-    """The class that ``package.module.Class`` names.
-
-    Raises:
-        ValueError: there is none.
-    """
-    module, _, name = class_path.rpartition(".")
-    try:
-        return getattr(importlib.import_module(module), name)
-    except (ImportError, AttributeError, ValueError) as error:
-        raise ValueError(f"There is no reader {class_path} ({error}).") from error
-
-
 def find_recording(path: Path) -> tuple[Path, type[Recording]]:
     """Where the recording is and which reader reads it: ``path`` itself, or the only recording below it.
 
     Raises:
         ValueError: there is none, or there are several.
     """
-    readers = [load_reader(name) for name in READERS]
+    readers = [load_named("reader", name) for name in READERS]
     certain, loose = readers[:-1], readers[-1]
     for reader in certain:
         if reader.matches(path):

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from tsjepa.data.readers.arrays import ACTION, ENDS_OF_EPISODES, ArrayRecording
 from tsjepa.data.readers.episode import Episode, Skipped, Streams, attempt
+from tsjepa.data.readers.kept_open import KeptOpen
 from tsjepa.data.readers.pictures import natural
 from tsjepa.support.foreign import optional, refuse_pointers
 
@@ -40,25 +41,28 @@ class Hdf5:
         self.recording = ArrayRecording(streams)
         self.notes, self.cameras, self.others = self.recording.notes, self.recording.cameras, self.recording.others
         self.format = "HDF5"
-        self._opened = []
+        self.kept = KeptOpen()
         for file in self.files:
             opened = attempt(file.name, lambda file=file: self.h5py.File(file, "r"))
-            self._opened.append((file, opened))
             if not isinstance(opened, Skipped):
-                self.format = f"HDF5, {layout(opened)}"
+                with opened:
+                    self.format = f"HDF5, {layout(opened)}"
+                break
 
     def episodes(self) -> Iterator[Episode | Skipped]:
         """The episodes of every file."""
-        for file, opened in self._opened:
+        for file in self.files:
+            opened = attempt(file.name, lambda file=file: self.h5py.File(file, "r"))
             if isinstance(opened, Skipped):
                 yield Skipped(file.name, f"it is no HDF5 file that can be read ({opened.reason.rstrip('.')}).")
                 continue
-            for name, group in self._groups(file, opened):
-                arrays = attempt(name, lambda name=name, group=group: self._arrays(name, group))
-                if isinstance(arrays, Skipped):
-                    yield arrays
-                else:
-                    yield from self.recording.episodes(name, arrays)
+            with opened:
+                for name, group in self._groups(file, opened):
+                    arrays = attempt(name, lambda name=name, group=group: self._arrays(name, group))
+                    if isinstance(arrays, Skipped):
+                        yield arrays
+                    else:
+                        yield from self.recording.episodes(name, arrays)
 
     def _groups(self, file: Path, opened) -> list[tuple[str, object]]:
         if any(key in opened for key in (ENDS_OF_EPISODES, f"meta/{ENDS_OF_EPISODES}")):
@@ -69,7 +73,7 @@ class Hdf5:
                 return [(f"{label}{name}", parent[name]) for name in sorted(names, key=natural)]
         return [(file.name, opened)]
 
-    def _arrays(self, name: str, group) -> dict[str, object]:
+    def _arrays(self, name: str, group) -> dict[str, Stored]:
         """Data sets below a group by their path; a claimed size that is not in the file is refused."""
         found = {}
 
@@ -86,7 +90,21 @@ class Hdf5:
         actions = found.get("actions")
         if isinstance(declared, (int, np.integer)) and actions is not None and declared != len(actions):
             self.notes.append(f"{name} claims {declared} samples and has {len(actions)}.")
-        return found
+        return {key: Stored(self.kept, data) for key, data in found.items()}
+
+
+class Stored:
+    """A data set [N, ...] of a file that is open only while it is read, and for as long as few others are."""
+
+    def __init__(self, kept: KeptOpen, data) -> None:
+        self.kept, self.path, self.name = kept, data.file.filename, data.name
+        self.shape, self.dtype, self._open = data.shape, data.dtype, type(data.file)
+
+    def __len__(self) -> int:
+        return self.shape[0]
+
+    def __getitem__(self, index: slice | Sequence[int] | np.ndarray) -> np.ndarray:
+        return self.kept.get(self.path, lambda: self._open(self.path, "r"))[self.name][index]
 
 
 def groups_of_episodes(parent) -> list[str]:

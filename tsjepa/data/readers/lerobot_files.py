@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from tsjepa.data.readers.episode import Episode, Frames, Skipped, Streams, attempt
+from tsjepa.data.readers.kept_open import KeptOpen
 from tsjepa.data.readers.lerobot_pictures import has_pictures, picture_folders, row_pictures
 from tsjepa.data.readers.names import flat_names, units_of
 from tsjepa.data.readers.pictures import natural, picture_files
@@ -24,7 +25,7 @@ class LeRobotFiles:
     """The part of a reader of LeRobot data sets that all their versions share; a subclass sets ``_episodes``."""
 
     def __init__(self, path: Path, streams: Streams) -> None:
-        self.path, self.streams, self.notes = path, streams, []
+        self.path, self.streams, self.notes, self.kept = path, streams, [], KeptOpen()
         files = [file for file in sorted(path.rglob("*"), key=natural) if file.is_file()]
         self.data_files = [file for file in files if file.suffix == ".parquet" and (path / "data") in file.parents]
         refuse_pointers(self.data_files)
@@ -197,7 +198,7 @@ class LeRobotFiles:
         if file is not None:
             return Video(file, first, len(rows) if first or self.has_v3_layout else None)
         if self.camera in self.picture_columns:
-            return row_pictures(self.path, rows_file, self.camera, rows)
+            return row_pictures(self.path, rows_file, self.camera, rows, self.kept)
         return picture_files(self.folders[self.camera, rows_file.stem])
 
     def wanted_columns(self) -> list[str]:

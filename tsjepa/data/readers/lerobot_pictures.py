@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from tsjepa.data.readers.kept_open import KeptOpen
 from tsjepa.data.readers.pictures import SUFFIXES, CodedPictures
 from tsjepa.support.foreign import optional
 
@@ -34,21 +35,25 @@ def picture_folders(path: Path, files: Iterable[Path]) -> Folders:
     return folders
 
 
-def row_pictures(root: Path, file: Path, column: str, rows: np.ndarray) -> CodedPictures:
+def row_pictures(root: Path, file: Path, column: str, rows: np.ndarray, kept: KeptOpen) -> CodedPictures:
     """Pictures of a Parquet column, one row group in memory at a time.
 
     A cell holds the coded bytes, or the path of a file below ``root``.
     """
-    parquet = optional("pyarrow.parquet").ParquetFile(file)
-    ends = np.cumsum([parquet.metadata.row_group(group).num_rows for group in range(parquet.num_row_groups)])
     loaded: dict[int, list] = {}
+
+    def opened():
+        return kept.get(file, lambda: optional("pyarrow.parquet").ParquetFile(file))
+
+    metadata = opened().metadata
+    ends = np.cumsum([metadata.row_group(group).num_rows for group in range(metadata.num_row_groups)])
 
     def fetch(index: int) -> tuple[bytes, str]:
         row = int(rows[index])
         group = int(np.searchsorted(ends, row, side="right"))
         if group not in loaded:
             loaded.clear()
-            loaded[group] = parquet.read_row_group(group, columns=[column])[column].to_pylist()
+            loaded[group] = opened().read_row_group(group, columns=[column])[column].to_pylist()
         cell = loaded[group][row - (int(ends[group - 1]) if group else 0)]
         data, name = (cell.get("bytes"), cell.get("path")) if isinstance(cell, dict) else (cell, None)
         if data is None and isinstance(name, str):
@@ -57,7 +62,9 @@ def row_pictures(root: Path, file: Path, column: str, rows: np.ndarray) -> Coded
             raise ValueError(f"row {row} of {file.name} has no picture in {column}.")
         return data, f"row {row} of {file.name}"
 
-    return CodedPictures(len(rows), fetch, "coded in the rows", None)
+    pictures = CodedPictures(len(rows), fetch, "coded in the rows", release=loaded.clear)
+    pictures.close()  # of its first picture: all episodes are opened before one is read
+    return pictures
 
 
 def _below(root: Path, name: str) -> bytes:

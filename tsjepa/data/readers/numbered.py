@@ -13,7 +13,8 @@ from tsjepa.support.stamps import as_seconds
 from tsjepa.support.tables import Table
 
 NUMBER = ("frame", "frame_index", "frame_id", "frame_number", "image_index", "image_id", "picture")
-SINCE_1970 = re.compile(r"\d{10,}|\d{10}\.\d+")
+STAMP = re.compile(r"\d{10,19}|\d{10}\.\d+")
+EARLIEST_S = 1e9  # since 1970: September 2001; a smaller number of ten digits is a count with zeros before it
 
 
 def picture_columns(table: Table) -> list[str]:
@@ -64,7 +65,7 @@ def rows_of_pictures(files: Sequence[Path], table: Table) -> np.ndarray | None:
 def times_in_names(files: Sequence[Path]) -> np.ndarray | None:
     """Seconds since 1970 that the pictures are called by, or None."""
     labels = [file.stem for file in files]
-    if not all(SINCE_1970.fullmatch(label) for label in labels):
+    if not all(STAMP.fullmatch(label) and float(label) >= EARLIEST_S for label in labels):
         return None
     if any("." in label for label in labels):
         return np.array([float(label) for label in labels])

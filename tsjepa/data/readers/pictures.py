@@ -42,12 +42,18 @@ class CodedPictures(Frames):
         fetch: coded bytes of one picture and the name to use in errors.
         coding: "jpeg", "png", ...
         times: seconds [count], or None.
+        release: frees what ``fetch`` keeps; it may be called again.
     """
 
     def __init__(
-        self, count: int, fetch: Callable[[int], tuple[bytes, str]], coding: str, times: np.ndarray | None = None
+        self,
+        count: int,
+        fetch: Callable[[int], tuple[bytes, str]],
+        coding: str,
+        times: np.ndarray | None = None,
+        release: Callable[[], None] = lambda: None,
     ) -> None:
-        self.count, self.fetch, self.coding, self.times = count, fetch, coding, times
+        self.count, self.fetch, self.coding, self.times, self.release = count, fetch, coding, times, release
         self.height, self.width = decode_picture(*fetch(0)).shape[:2] if count else (0, 0)
 
     def read(self, indices: Sequence[int] | np.ndarray) -> np.ndarray:
@@ -62,6 +68,9 @@ class CodedPictures(Frames):
                 )
             pictures[place] = picture
         return pictures
+
+    def close(self) -> None:
+        self.release()
 
 
 def picture_files(files: Sequence[Path], times: np.ndarray | None = None) -> CodedPictures:
