@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from itertools import pairwise
 from pathlib import Path
 
@@ -12,6 +11,7 @@ import numpy as np
 from tsjepa.radio.trace_formats import read_links
 from tsjepa.radio.trace_log import Log
 from tsjepa.radio.trace_tables import COLUMNS
+from tsjepa.support.files import whole
 from tsjepa.support.foreign import optional, reason
 
 LISTED = 8
@@ -162,9 +162,8 @@ def write_table(path: Path, logs: list[Log]) -> None:
     }
     for name in names:
         columns[name] = np.concatenate([log.columns.get(name, np.full(len(log.time_s), np.nan)) for log in logs])
-    partial = path.with_name(path.name + ".partial")
-    parquet.write_table(pa.table(columns), partial)
-    os.replace(partial, path)
+    with whole(path) as partial:
+        parquet.write_table(pa.table(columns), partial)
 
 
 def draw(path: Path, logs: dict[str, Log]) -> None:

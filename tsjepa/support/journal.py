@@ -6,6 +6,8 @@ import json
 from pathlib import Path
 from typing import Any
 
+from tsjepa.support.files import write_text
+
 
 class Journal:
     """A file of JSON lines: the settings of the run, then one line ``[key, value]`` for every finished item.
@@ -24,9 +26,7 @@ class Journal:
         if lines[:1] == [self.settings]:
             self.done = dict(lines[1:])
         text = "".join(json.dumps(line) + "\n" for line in [self.settings, *map(list, self.done.items())])
-        partial = self.path.with_name(self.path.name + ".partial")
-        partial.write_text(text)
-        partial.replace(self.path)
+        write_text(self.path, text)
 
     def _whole_lines(self) -> list:
         if not self.path.is_file():
