@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from tensordict import TensorDict
 
-from tsjepa.support.files import replace_folder
+from tsjepa.support.files import replace_folder, whole
 from tsjepa.support.spec import PlantSpec
 
 METADATA, JOURNAL = "metadata.json", "journal.jsonl"
@@ -58,10 +58,17 @@ def start_split(folder: Path, trajectories: TensorDict, frame: tuple[int, int]) 
 
 
 def write_picture(path: Path, image: np.ndarray) -> None:
-    """Writes an RGB picture."""
+    """Writes an RGB picture uint8 [H, W, 3], in the format of the path's suffix.
+
+    Raises:
+        OSError: no room, no right to write, or no such folder; what was there stays.
+    """
     import cv2
 
-    cv2.imwrite(str(path), image[..., ::-1])
+    # OpenCV's own writing fails without a word
+    _, encoded = cv2.imencode(path.suffix, image[..., ::-1])
+    with whole(path) as partial:
+        partial.write_bytes(encoded.tobytes())
 
 
 def publish(partial: Path, folder: Path, metadata: dict) -> None:
