@@ -21,13 +21,13 @@ from torch import nn
 from tsjepa.models import hub
 from tsjepa.support.description import build, describe
 from tsjepa.support.files import exclusive, replace_folder
+from tsjepa.support.foreign import is_pointer
 from tsjepa.support.spec import PlantSpec
 
 FORMAT = 2
 FILES = ("config.yaml", "model.safetensors", "metrics.json", "README.md", "manifest.json")
 CONFIG, WEIGHTS, METRICS, CARD, MANIFEST = FILES
 HASHED = (CONFIG, WEIGHTS, METRICS)
-LFS_POINTER = b"version https://git-lfs"
 WEIGHT_DTYPES = {"float32": torch.float32, "float16": torch.float16}
 
 
@@ -104,10 +104,9 @@ def digests(folder: Path) -> dict[str, str]:
 def _content(path: Path) -> bytes:
     if not path.is_file():
         raise DamagedEntryError(f"{path} is missing; fetch the entry anew.")
-    content = path.read_bytes()
-    if content.startswith(LFS_POINTER):
+    if is_pointer(path):
         raise DamagedEntryError(f"{path} is a pointer of Git LFS instead of the file itself: run `git lfs pull`.")
-    return content
+    return path.read_bytes()
 
 
 def load(name_or_path: str | Path, sha256: str | None = None, trusted: bool = False) -> nn.Module:
