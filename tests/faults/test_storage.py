@@ -257,6 +257,15 @@ def test_a_damaged_description_of_a_data_set_is_named(home, command, name):
     assert status == 2 and "damaged" in complaint and str(DATA) in complaint
 
 
+@pytest.mark.parametrize("name", [f"{RUN}/evaluation/evaluation.json", "seeds.json"])
+@pytest.mark.parametrize("content", ['{"model_sha256": "4', "", "[]"])
+def test_a_damaged_result_is_named_by_the_export(evaluation, home, command, name, content):
+    (home / name).write_text(content)
+    options = ("--training_seeds", "seeds.json") if name == "seeds.json" else ()
+    status, complaint = command(*EXPORT, *options)
+    assert status == 2 and f"{name} is damaged: it " in complaint and "make it anew" in complaint
+
+
 def spoil(split: TensorDict, key: str) -> None:
     if key == "pixels":
         split["pixels"][1] = split["pixels"][1, 0].clone()

@@ -3,7 +3,7 @@ import json
 import pytest
 
 from tsjepa.paper import store
-from tsjepa.support.files import whole, write_json, write_text
+from tsjepa.support.files import read_json, whole, write_json, write_text
 
 
 @pytest.mark.parametrize("wrong", [float("nan"), float("inf"), -float("inf")])
@@ -39,3 +39,10 @@ def test_a_writer_that_goes_by_the_suffix_has_it(tmp_path):
         assert partial.suffix == ".mp4" and partial.parent == tmp_path
         partial.write_text("film")
     assert [file.name for file in tmp_path.iterdir()] == ["film.mp4"]
+
+
+@pytest.mark.parametrize("content", [b"", b'{"a": 1', b"[1]", b"null", b'{"a": "\xff"}'])
+def test_a_damaged_file_of_json_is_named_in_one_sentence(tmp_path, content):
+    (tmp_path / "result.json").write_bytes(content)
+    with pytest.raises(ValueError, match=r"result\.json is damaged: it .*; make it anew\.$"):
+        read_json(tmp_path / "result.json")

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from tensordict import TensorDict
 
-from tsjepa.support.files import replace_folder, whole
+from tsjepa.support.files import read_json, replace_folder, whole
 from tsjepa.support.spec import PlantSpec
 
 METADATA, JOURNAL = "metadata.json", "journal.jsonl"
@@ -93,8 +93,8 @@ def read_metadata(folder: str | Path) -> dict:
             f"No data set in {folder}: collect one with `tsjepa collect`, or import a recording with `tsjepa import`."
         )
     try:
-        metadata = dict(json.loads(path.read_text()))
-    except (ValueError, TypeError) as error:
+        metadata = read_json(path)
+    except ValueError as error:
         raise ValueError(f"{path} is damaged; delete the folder and collect it anew.") from error
     if metadata.get("format") != FORMAT:
         raise ValueError(

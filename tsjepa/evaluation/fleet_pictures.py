@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 from tsjepa.evaluation import style
 from tsjepa.evaluation.metrics import interval
 from tsjepa.evaluation.search import mean
+from tsjepa.support.files import read_json
 
 DASHED = ("oracle", "whittle", "max_weight")  # these can lie on top of another scheduler's line
 
 
 def redraw(results: str | Path, picture: str | Path) -> None:
     """Draws the plot that belongs to a search.json, a fleet.json or an age.json from the file alone."""
-    result = json.loads(Path(results).read_text())
+    result = read_json(results)
     if "points" in result:
         capacity_plot(result, Path(picture))
     elif "traces" in result:

@@ -46,6 +46,21 @@ def write_text(path: str | Path, text: str) -> None:
         partial.write_text(text)
 
 
+def read_json(path: str | Path) -> dict[str, Any]:
+    """The JSON object in ``path``.
+
+    Raises:
+        ValueError: the file holds something else.
+    """
+    try:
+        value = json.loads(Path(path).read_text())
+    except ValueError as error:
+        raise ValueError(f"{path} is damaged: it is no JSON ({error}); make it anew.") from error
+    if not isinstance(value, dict):
+        raise ValueError(f"{path} is damaged: it holds no JSON object; make it anew.")
+    return value
+
+
 def write_json(path: str | Path, value: Any, indent: int = 2) -> None:
     """Writes ``value`` as :func:`write_text` does.
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import yaml
 
 from tsjepa.data.storage import METADATA
 from tsjepa.models import entries
+from tsjepa.support.files import read_json
 
 KEPT = ("plant", "camera", "slots", "seed", "sha256")  # of a data set's metadata
 
@@ -22,8 +22,11 @@ def training_history(folder: Path) -> list[dict]:
     Returns:
         For each its ``command`` (and ``commit`` and ``date``, where the fit recorded them), ``seed``, and ``data``, the
         path of its data set. An entry of the zoo brings its own history.
+
+    Raises:
+        ValueError: a metrics.json is damaged.
     """
-    metrics, config_path = json.loads((folder / entries.METRICS).read_text()), folder.parent / "config.yaml"
+    metrics, config_path = read_json(folder / entries.METRICS), folder.parent / "config.yaml"
     if "training" in metrics:
         return metrics["training"]
     if not config_path.is_file():
@@ -45,7 +48,7 @@ def data_sets(history: list[dict]) -> list[dict]:
     described = []
     for path in dict.fromkeys(fit["data"] for fit in history if fit["data"]):
         if (Path(path) / METADATA).is_file():
-            metadata = json.loads((Path(path) / METADATA).read_text())
+            metadata = read_json(Path(path) / METADATA)
             kept = {key: metadata[key] for key in KEPT if key in metadata}
             episodes = {split: sizes["episodes"] for split, sizes in metadata["splits"].items()}
             described.append({"path": path, "episodes": episodes, **kept})
