@@ -26,21 +26,30 @@ def training_history(folder: Path) -> list[dict]:
     Raises:
         ValueError: a metrics.json is damaged.
     """
-    metrics, config_path = read_json(folder / entries.METRICS), folder.parent / "config.yaml"
-    if "training" in metrics:
-        return metrics["training"]
-    if not config_path.is_file():
-        return []
-    config = yaml.safe_load(config_path.read_text())
-    fit = metrics.get("made_by", {"command": f"tsjepa fit --config {config_path.as_posix()}"})
-    arguments = {part: (config.get(part) or {}).get("init_args") or {} for part in ("data", "model")}
-    fit = fit | {"seed": config.get("seed_everything"), "data": arguments["data"].get("path")}
-    pretrained = arguments["model"].get("pretrained")
+    fits: list[dict] = []
+    seen: set[Path] = set()  # a run may have been trained anew, from what was made of it
+    before: Path | None = folder
+    while before is not None and before.resolve() not in seen:
+        seen.add(before.resolve())
+        metrics, config_path = read_json(before / entries.METRICS), before.parent / "config.yaml"
+        if "training" in metrics:
+            return [*metrics["training"], *fits]
+        if not config_path.is_file():
+            break
+        config = yaml.safe_load(config_path.read_text())
+        fit = metrics.get("made_by", {"command": f"tsjepa fit --config {config_path.as_posix()}"})
+        arguments = {part: (config.get(part) or {}).get("init_args") or {} for part in ("data", "model")}
+        fit = fit | {"seed": config.get("seed_everything"), "data": arguments["data"].get("path")}
+        fits.insert(0, fit)
+        before = _found(arguments["model"].get("pretrained"))
+    return fits
+
+
+def _found(pretrained: str | None) -> Path | None:
     try:
-        before = entries.find(pretrained) if pretrained else folder
+        return entries.find(pretrained) if pretrained else None
     except FileNotFoundError:
-        before = folder
-    return [*(training_history(before) if before.resolve() != folder.resolve() else []), fit]
+        return None
 
 
 def data_sets(history: list[dict]) -> list[dict]:
