@@ -31,7 +31,7 @@ from tsjepa.support.recipes import error_method, find_recipes
 from tsjepa.support.trust import TRUST
 from tsjepa.training.callbacks import ExportModel, Pace, StopWhenNotFinite, WritePredictions
 from tsjepa.training.continuing import RecipeRules, changes, other_sizes, stored_settings
-from tsjepa.training.resume import ContinuedCSVLogger
+from tsjepa.training.resume import ContinuedCSVLogger, FreshLog
 
 ROOT = "runs/fit"  # where a recipe without trainer.default_root_dir leaves its results
 
@@ -89,7 +89,7 @@ def equipment(root: Path, checkpoints: bool) -> list[Callback]:
 
     The export comes behind what a recipe lists, so that it writes what the finishes have made.
     """
-    every = [RecipeRules(), StopWhenNotFinite(), Pace(), ExportModel(), WritePredictions()]
+    every = [FreshLog(), RecipeRules(), StopWhenNotFinite(), Pace(), ExportModel(), WritePredictions()]
     if not checkpoints:
         return every
     last = {"save_last": True, "every_n_epochs": 1, "save_on_train_epoch_end": True, "enable_version_counter": False}
