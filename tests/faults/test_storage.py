@@ -11,6 +11,7 @@ import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 import torch
@@ -18,8 +19,9 @@ import yaml
 from conftest import DATA, DATA_RECIPE, RECIPE, RUN
 from tensordict import TensorDict
 
-from tsjepa.data.storage import METADATA, open_split
+from tsjepa.data.storage import METADATA, open_split, write_picture
 from tsjepa.data.writing import write_data_set
+from tsjepa.evaluation.films import count_frames, write_video
 from tsjepa.models import entries
 from tsjepa.support.files import exclusive, replace_folder, write_text
 from tsjepa.support.journal import Journal
@@ -161,6 +163,36 @@ def test_text_that_does_not_fit_leaves_the_text_before(small_disk):
     assert (small_disk / "search.json").read_text() == "before"
 
 
+PICTURES = [np.random.default_rng(slot).integers(0, 256, (64, 128, 3), dtype=np.uint8) for slot in range(30)]
+
+
+@pytest.mark.parametrize(
+    ("write", "content", "name"), [(write_video, PICTURES, "film.mp4"), (write_picture, PICTURES[0], "strip.png")]
+)
+def test_a_film_or_a_picture_that_was_not_written_is_named_and_the_one_before_stays(
+    tmp_path, file_size_limit, write, content, name
+):
+    write(tmp_path / name, content)
+    before = contents(tmp_path)
+    assert list(before) == [name] and len(before[name]) > 10_000
+    with (
+        file_size_limit(10_000),
+        pytest.raises(OSError, match=rf"{name}.* could not be written|File too large: .*{name}"),
+    ):
+        write(tmp_path / name, content)
+    assert contents(tmp_path) == before
+    with pytest.raises(OSError, match=rf"absent/{name}"):
+        write(tmp_path / "absent" / name, content)
+    assert contents(tmp_path) == before
+
+
+def test_a_film_has_its_frames_and_a_picture_its_pixels(tmp_path):
+    write_video(tmp_path / "film.mp4", PICTURES)
+    assert count_frames(tmp_path / "film.mp4") == 30
+    write_picture(tmp_path / "strip.png", PICTURES[0])
+    assert np.array_equal(cv2.imread(str(tmp_path / "strip.png"))[..., ::-1], PICTURES[0])
+
+
 @pytest.mark.parametrize(
     ("arguments", "folder"),
     [
@@ -242,6 +274,15 @@ def test_a_damaged_description_of_a_data_set_is_named(home, command, name):
     path.write_text(path.read_text().replace('"', "'", 1))
     status, complaint = command("fit", "--config", RECIPE)
     assert status == 2 and "damaged" in complaint and str(DATA) in complaint
+
+
+@pytest.mark.parametrize("name", [f"{RUN}/evaluation/evaluation.json", "seeds.json"])
+@pytest.mark.parametrize("content", ['{"model_sha256": "4', "", "[]"])
+def test_a_damaged_result_is_named_by_the_export(evaluation, home, command, name, content):
+    (home / name).write_text(content)
+    options = ("--training_seeds", "seeds.json") if name == "seeds.json" else ()
+    status, complaint = command(*EXPORT, *options)
+    assert status == 2 and f"{name} is damaged: it " in complaint and "make it anew" in complaint
 
 
 def spoil(split: TensorDict, key: str) -> None:

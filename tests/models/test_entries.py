@@ -306,3 +306,30 @@ def test_saving_over_an_entry_replaces_it_whole_or_not_at_all(tmp_path, monkeypa
     after = tiny(1).state_dict()
     assert all(torch.equal(value, after[name]) for name, value in tsjepa.load(folder).state_dict().items())
     assert [path.name for path in tmp_path.iterdir()] == ["model"]
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+def test_neither_weights_nor_figures_that_are_not_finite_are_stored(tmp_path, value):
+    model = tiny()
+    entries.save(model, tmp_path / "tiny", {"score": 0.5})
+    before = {path.name: path.read_bytes() for path in (tmp_path / "tiny").iterdir()}
+    with pytest.raises(ValueError, match=r"tiny/metrics\.json is not written: result\.rows\[1\] in it is not finite"):
+        entries.save(model, tmp_path / "tiny", {"rows": [1.0, value]})
+    with torch.no_grad():
+        model.actor.layers[0].weight[0, 0] = value
+    with pytest.raises(ValueError, match=r"The model is not stored: its weight actor\.layers\.0\.weight is not finite"):
+        entries.save(model, tmp_path / "tiny")
+    assert {path.name: path.read_bytes() for path in (tmp_path / "tiny").iterdir()} == before
+    assert [path.name for path in tmp_path.iterdir()] == ["tiny"]
+
+
+def test_a_fit_stores_its_model_with_a_figure_that_is_no_number_as_null(tmp_path):
+    metrics = {"loss": torch.tensor(0.5), "rank": torch.tensor(float("nan"))}
+    trainer = SimpleNamespace(
+        is_global_zero=True, callback_metrics=metrics, precision="32-true", default_root_dir=tmp_path
+    )
+    module = tiny()
+    module.controller = lambda: module
+    ExportModel().on_fit_end(trainer, module)
+    stored = json.loads((tmp_path / "model" / METRICS).read_text())
+    assert (stored["loss"], stored["rank"]) == (0.5, None)

@@ -1,3 +1,4 @@
+import pytest
 import torch
 
 from tsjepa.training.imitation_data import RowSampler
@@ -29,3 +30,9 @@ def test_rows_do_not_touch_the_global_stream():
     before = torch.get_rng_state()
     rows()
     assert torch.equal(torch.get_rng_state(), before)
+
+
+def test_fewer_rows_than_a_batch_are_refused_with_both_numbers():
+    assert [len(batch) for batch in rows(rows=6)] == [6]
+    with pytest.raises(ValueError, match=r"give 5 rows, and batch_size = 6 takes more: make .*batch_size 5 or smaller"):
+        rows(rows=5)

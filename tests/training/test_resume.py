@@ -3,6 +3,7 @@
 import os
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import tiny
@@ -10,7 +11,7 @@ import torch
 from safetensors.torch import load_file
 
 from tsjepa import cli
-from tsjepa.training.resume import AtomicCheckpointIO, ContinuedCSVLogger
+from tsjepa.training.resume import AtomicCheckpointIO, ContinuedCSVLogger, FreshLog
 
 pytestmark = pytest.mark.slow  # every test starts a process, trains or closes loops
 
@@ -147,3 +148,43 @@ def test_a_resumed_log_goes_on_where_the_checkpoint_was(tmp_path):
 def test_a_fresh_log_starts_anew(tmp_path):
     logged(tmp_path, (0, {"loss": 3.0}), (1, {"loss": 2.0}))
     assert logged(tmp_path, (0, {"loss": 1.0})) == "loss,step\n1.0,0\n"
+
+
+@pytest.mark.parametrize(
+    ("log", "kept"),
+    [
+        ("loss,rank,step\n3.0,1.0,0\n2.0,1.0,1\n1.0,1", "3.0,1.0,0\n2.0,1.0,1\n"),
+        ("loss,rank,step\n3.0,1.0,0\n2.0,1.0\n", "3.0,1.0,0\n"),
+        # another line was written on behind the one that was cut
+        ("loss,rank,step\n3.0,1.0,0\n2.0,11.0,1.0,2\n", "3.0,1.0,0\n"),
+        ("loss,rank,step\n3.0,1.0,0\n2.0,1.0,1.5\n", "3.0,1.0,0\n"),
+        # cut within the number, which would be another step
+        ("loss,rank,step\n3.0,1.0,0\n2.0,1.0,1", "3.0,1.0,0\n"),
+        ("loss,rank,step", ""),
+        ("loss,ra\n", ""),
+        ("", ""),
+    ],
+)
+def test_lines_of_a_log_that_were_cut_are_left_out(tmp_path, log, kept):
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "metrics.csv").write_text(log)
+    assert logged(tmp_path, (9, {"loss": 0.5, "rank": 2.0})) == f"loss,rank,step\n{kept}0.5,2.0,9\n"
+
+
+def test_a_log_whose_lines_lack_a_later_column_goes_on(tmp_path):
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "metrics.csv").write_text("loss,step,train\n3.0,0,0.1\n2.0,1\n")
+    assert logged(tmp_path, (2, {"loss": 0.5})) == "loss,step,train\n3.0,0,0.1\n0.5,2,\n"
+
+
+@pytest.mark.parametrize(
+    ("checkpoint", "expected"), [(None, "loss,step\n1.0,9\n"), ("last.ckpt", "loss,step\n3.0,0\n2.0,1\n1.0,9\n")]
+)
+def test_only_a_fit_that_goes_on_from_a_checkpoint_keeps_the_rows_before_its_first(tmp_path, checkpoint, expected):
+    logged(tmp_path, (0, {"loss": 3.0}), (1, {"loss": 2.0}))
+    logger = ContinuedCSVLogger(tmp_path, name="", version="run")
+    trainer = SimpleNamespace(ckpt_path=checkpoint, is_global_zero=True, loggers=[logger])
+    FreshLog().on_train_start(trainer, None)
+    logger.log_metrics({"loss": 1.0}, 9)
+    logger.save()
+    assert (tmp_path / "run" / "metrics.csv").read_text() == expected

@@ -10,10 +10,13 @@ import yaml
 
 import tsjepa
 from tsjepa import cli
+from tsjepa.support.files import exclusive
 from tsjepa.support.precision import Precision
 from tsjepa.training import run
 from tsjepa.training.callbacks import Pace, pace
+from tsjepa.training.continuing import stored_settings
 from tsjepa.training.finish import refine
+from tsjepa.zoo.training_history import training_history
 
 FINISH = "tsjepa.training.finish"
 MORE = {
@@ -75,6 +78,22 @@ def test_a_precision_that_is_given_holds_for_the_finishes_too(home, autocast, mo
     assert cli.main(["fit", "--config", "recipe.yaml", "--trainer.precision", "32-true"]) == 0
     assert "This fit computes in 32-true, channels_last, on " in capsys.readouterr().out
     assert autocast and not any(autocast)
+
+
+@pytest.mark.slow
+def test_the_folder_of_a_fit_is_its_own_and_holds_its_recipe_whatever_the_logger(home, capsys):
+    logger = {"class_path": "lightning.pytorch.loggers.CSVLogger", "init_args": {"save_dir": "elsewhere"}}
+    words = ["fit", "--config", "recipe.yaml", "--trainer.logger", json.dumps(logger)]
+    with exclusive(home):
+        assert cli.main(words) == 2
+    assert "Another process is writing runs/jepa" in capsys.readouterr().err
+    assert cli.main(words) == 0
+    assert [path.name for path in home.parent.parent.glob("elsewhere/**/*.csv")] == ["metrics.csv"]
+    config = yaml.safe_load((home / "config.yaml").read_text())
+    assert config["trainer"]["logger"]["init_args"]["save_dir"] == "elsewhere"
+    assert stored_settings(home) == config
+    (fit,) = training_history(home / "model")
+    assert fit["data"] == config["data"]["init_args"]["path"]
 
 
 def settings(**changes):

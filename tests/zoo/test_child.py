@@ -1,5 +1,7 @@
 """A command that ``tsjepa zoo train`` has started ends with it, however that ends, and the next start goes on."""
 
+import contextlib
+import io
 import signal
 import subprocess
 import sys
@@ -28,6 +30,16 @@ def test_a_command_is_timed_and_its_failure_is_named(capfd):
     assert capfd.readouterr().out.startswith("tsjepa --version\ntsjepa ")
     with pytest.raises(RuntimeError, match="`tsjepa absent` ended with status 2"):
         run(["absent"])
+
+
+def test_a_command_says_what_it_says_where_its_parent_prints(capfd):
+    with contextlib.redirect_stdout(sys.stderr):  # as --json does
+        run(["--version"])
+    said = capfd.readouterr()
+    assert said.out == "" and said.err.startswith("tsjepa --version\ntsjepa ")
+    with contextlib.redirect_stdout(io.StringIO()):  # of no file, as in a notebook
+        run(["--version"])
+    assert capfd.readouterr().out.startswith("tsjepa ")
 
 
 def test_sigterm_is_again_what_it_was_after_a_command():

@@ -135,6 +135,70 @@ def test_a_second_start_goes_on_where_the_first_was_broken_off(program, capsys):
     assert program() == []
 
 
+HOME = Path("runs/zoo", NAME)
+REFUSED = "seed0 was made by other recipes, commands or versions than there are: move it away and start again"
+
+
+@pytest.fixture
+def recipes(tmp_path):
+    """The recipes, to be edited, below the working directory."""
+    for name in tiny.NAMES:
+        tiny.write(tmp_path, name, tiny.load(name))
+    return tmp_path / "recipes"
+
+
+# of the first fit, over it, of its data, and of the second fit
+@pytest.mark.parametrize("edited", ["jepa", "zoo/d16", "zoo/data", "actor"])
+@pytest.mark.parametrize("reached", ["seed0/jepa", "seed0/actor", "nothing"])
+def test_what_other_recipes_have_made_is_neither_continued_nor_shipped(program, recipes, edited, reached):
+    program(reached)
+    before = {path: path.read_bytes() for path in HOME.rglob("*") if path.is_file()}
+    kept = (recipes / f"{edited}.yaml").read_text()
+    (recipes / f"{edited}.yaml").write_text(kept + "# edited\n")
+    with pytest.raises(ValueError, match=REFUSED):
+        train(NAME)
+    assert {path: path.read_bytes() for path in HOME.rglob("*") if path.is_file()} == before
+    (recipes / f"{edited}.yaml").write_text(kept)
+    again = program()
+    assert [command for command, _ in again] == {
+        "seed0/jepa": ["fit", "fit", "evaluate", "export"], "seed0/actor": ["fit", "evaluate", "export"], "nothing": []
+    }[reached]  # fmt: skip
+    assert reached == "nothing" or again[0][1]["--ckpt_path"] == "last"
+    (recipes / f"{edited}.yaml").write_text(kept + "# edited\n")
+    (HOME / "seed0").rename(HOME / "away")
+    assert all("--ckpt_path" not in options for _, options in program())
+
+
+def test_recipes_that_no_command_of_the_entry_names_may_be_edited(program, recipes):
+    program()
+    (recipes / "autoencoder.yaml").write_text("{}")
+    assert program() == []
+
+
+def test_an_evaluation_by_another_recipe_is_made_anew(program, recipes):
+    program()
+    with (recipes / "evaluate.yaml").open("a") as file:
+        file.write("# edited\n")
+    assert [command for command, _ in program()] == ["evaluate", "export"]
+
+
+def without_hashes(journal: Path) -> None:
+    settings, *done = journal.read_text().splitlines()
+    journal.write_text("\n".join([json.dumps(json.loads(settings)["commands"]), *done, ""]))
+
+
+@pytest.mark.parametrize(
+    "change", [without_hashes, Path.unlink, lambda journal: journal.write_text('{"commands": {"jepa"')]
+)
+def test_fits_whose_recipes_nobody_knows_are_left_as_they_are(program, change):
+    program("seed0/actor")
+    change(HOME / "seed0" / "steps.journal")
+    before = {path: path.read_bytes() for path in HOME.rglob("*") if path.is_file()}
+    with pytest.raises(ValueError, match=REFUSED):
+        train(NAME)
+    assert {path: path.read_bytes() for path in HOME.rglob("*") if path.is_file()} == before
+
+
 def test_of_several_training_seeds_the_best_by_validation_is_shipped_and_all_meet_fresh_starts(program):
     home = f"runs/zoo/{NAME}"
     assert [options["--seed_everything"] for command, options in program() if command == "fit"] == ["0", "0"]

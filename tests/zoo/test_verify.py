@@ -125,6 +125,24 @@ def test_a_model_that_started_from_an_entry_continues_its_history(entry):
 
 
 @pytest.mark.slow
+def test_runs_that_started_from_each_other_have_a_history_that_ends(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_run("runs/jepa", tiny(0), "runs/actor/model")
+    write_run("runs/actor", tiny(1), "runs/jepa/model")
+    write_run("runs/own", tiny(2), "runs/own/model")
+    commands = [fit["command"] for fit in training_history(Path("runs/actor/model"))]
+    assert commands == [f"tsjepa fit --config runs/{name}/config.yaml" for name in ("jepa", "actor")]
+    assert len(training_history(Path("runs/own/model"))) == 1
+
+
+def test_a_damaged_figure_file_of_a_run_is_named(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_run("runs/jepa", tiny(0), None)
+    Path("runs/jepa/model/metrics.json").write_text('{"made_by')
+    with pytest.raises(ValueError, match=r"runs/jepa/model/metrics\.json is damaged: it is no JSON"):
+        training_history(Path("runs/jepa/model"))
+
+
 def test_other_weights_are_evaluated_anew_and_never_given_the_figures_of_others(entry, evaluations):
     Path("runs/again/evaluation").mkdir(parents=True)
     write_run("runs/again", tiny(2), None)

@@ -15,6 +15,7 @@ from typing import Any
 from packaging.requirements import Requirement
 
 from tsjepa.support.gl import missing_backend_message
+from tsjepa.support.processor import cores, processor
 
 # Frames of the data sets, checkpoints and logs of `make train-jepa`.
 _NEEDED_DISK_GIB = 4
@@ -70,32 +71,9 @@ def _machine() -> Report:
     lines = [
         ("python", f"{platform.python_version()} ({sys.executable})"),
         ("system", f"{platform.system()} {platform.release()} {platform.machine()}"),
-        ("cpu", f"{_cpu_name()}, {_usable_cores()} usable cores{_cpu_number_formats()}"),
+        ("cpu", f"{processor()}, {cores()} usable cores"),
     ]
     return lines, []
-
-
-def _cpu_name() -> str:
-    if sys.platform == "darwin":
-        return subprocess.run(
-            ["sysctl", "-n", "machdep.cpu.brand_string"], capture_output=True, text=True
-        ).stdout.strip()
-    found = re.search(r"^model name\s*:\s*(.+)$", _cpuinfo(), re.MULTILINE)
-    return found.group(1) if found else platform.processor() or "unknown"
-
-
-def _usable_cores() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def _cpu_number_formats() -> str:
-    flags = [name for name in ("avx2", "avx512f", "avx512_bf16", "amx_bf16") if re.search(rf"\b{name}\b", _cpuinfo())]
-    return f", {' '.join(flags)}" if flags else ""
-
-
-def _cpuinfo() -> str:
-    path = Path("/proc/cpuinfo")
-    return path.read_text() if path.exists() else ""
 
 
 def _packages() -> Report:

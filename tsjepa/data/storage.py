@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from tensordict import TensorDict
 
-from tsjepa.support.files import replace_folder
+from tsjepa.support.files import read_json, replace_folder, whole
 from tsjepa.support.spec import PlantSpec
 
 METADATA, JOURNAL = "metadata.json", "journal.jsonl"
@@ -66,10 +66,17 @@ def make_map(folder: Path, stored: TensorDict, key: str, shape: Sequence[int], d
 
 
 def write_picture(path: Path, image: np.ndarray) -> None:
-    """Writes an RGB picture."""
+    """Writes an RGB picture uint8 [H, W, 3], in the format of the path's suffix.
+
+    Raises:
+        OSError: no room, no right to write, or no such folder; what was there stays.
+    """
     import cv2
 
-    cv2.imwrite(str(path), image[..., ::-1])
+    # OpenCV's own writing fails without a word
+    _, encoded = cv2.imencode(path.suffix, image[..., ::-1])
+    with whole(path) as partial:
+        partial.write_bytes(encoded.tobytes())
 
 
 def publish(partial: Path, folder: Path, metadata: dict) -> None:
@@ -94,8 +101,8 @@ def read_metadata(folder: str | Path) -> dict:
             f"No data set in {folder}: collect one with `tsjepa collect`, or import a recording with `tsjepa import`."
         )
     try:
-        metadata = dict(json.loads(path.read_text()))
-    except (ValueError, TypeError) as error:
+        metadata = read_json(path)
+    except ValueError as error:
         raise ValueError(f"{path} is damaged; delete the folder and collect it anew.") from error
     if metadata.get("format") != FORMAT:
         raise ValueError(

@@ -9,10 +9,12 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from tsjepa.data.storage import write_picture
 from tsjepa.envs.make import at_weights
 from tsjepa.evaluation.rollouts import Loop, every
 from tsjepa.evaluation.shown import shown_run
 from tsjepa.models import Controller
+from tsjepa.support.files import whole
 
 PERIOD = 5  # slots between updates in the film
 AHEAD = 1.0  # seconds that the shown prediction looks ahead
@@ -33,9 +35,10 @@ def look_inside(loop: Loop, seed: int, film: Path, strip: Path) -> None:
         seed: of the start.
         film: path of the ``.mp4`` file.
         strip: path of the ``.png`` file.
-    """
-    import cv2
 
+    Raises:
+        OSError: the film or the picture could not be written.
+    """
     model, slots = loop.controller, loop.slots
     ahead = round(AHEAD / loop.plant.spec.slot) if model.has_predictor else 0
     seen = shown_run(every(replace(loop, slots=slots + ahead), PERIOD), seed)
@@ -49,7 +52,7 @@ def look_inside(loop: Loop, seed: int, film: Path, strip: Path) -> None:
     pictures = [picture(columns, slot) for slot in range(slots)]
     write_video(film, pictures)
     shown = np.linspace(0, slots - 1, min(STRIP_ROWS, slots)).astype(int)
-    cv2.imwrite(str(strip), np.concatenate([pictures[slot] for slot in shown]))
+    write_picture(strip, np.concatenate([pictures[slot] for slot in shown])[..., ::-1])
 
 
 @torch.no_grad()
@@ -103,11 +106,29 @@ def caption(frame: np.ndarray, text: str) -> None:
 
 
 def write_video(path: Path, frames: list[np.ndarray], frames_per_second: int = 25) -> None:
-    """Writes BGR frames of one size as an MP4 file."""
+    """Writes BGR frames uint8 [H, W, 3] of one size as an MP4 file.
+
+    Raises:
+        OSError: no room, no right to write, or no such folder; what was there stays.
+    """
     import cv2
 
     height, width = frames[0].shape[:2]
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"mp4v"), frames_per_second, (width, height))
-    for frame in frames:
-        writer.write(frame)
-    writer.release()
+    with whole(path, path.suffix) as partial:
+        writer = cv2.VideoWriter(str(partial), cv2.VideoWriter_fourcc(*"mp4v"), frames_per_second, (width, height))
+        for frame in frames:
+            writer.write(frame)
+        writer.release()
+        # nothing above says that it failed; the number of frames is what is written last
+        if count_frames(partial) != len(frames):
+            raise OSError(f"The film {path} could not be written: make room, or choose a folder that can be written.")
+
+
+def count_frames(path: Path) -> int:
+    """Frames that a film says it has; 0 where it cannot be read."""
+    import cv2
+
+    film = cv2.VideoCapture(str(path))
+    count = int(film.get(cv2.CAP_PROP_FRAME_COUNT))
+    film.release()
+    return count

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import asyncio
-import json
-import os
 import signal
 from collections.abc import Awaitable, Callable
 from pathlib import Path
+
+from tsjepa.support.files import write_json
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
@@ -28,11 +28,8 @@ def write_report(path: str | None, report: dict) -> None:
     """Writes what happened as JSON, so that a reader finds all of it or nothing."""
     if path is None:
         return
-    target = Path(path)
-    target.parent.mkdir(parents=True, exist_ok=True)
-    partial = target.with_name(target.name + ".partial")
-    partial.write_text(json.dumps(report, indent=2) + "\n")
-    os.replace(partial, target)
+    Path(path).parent.mkdir(parents=True, exist_ok=True)
+    write_json(path, report)
 
 
 def stages_line(stages: dict[str, dict[str, float]]) -> str:

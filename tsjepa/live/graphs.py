@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from tsjepa.support.files import read_json
 from tsjepa.support.spec import PlantSpec
 
 DESCRIPTION = "deployment.json"
@@ -25,7 +25,7 @@ class Graphs:
 
     Raises:
         FileNotFoundError: it is no such folder.
-        ValueError: an older deployment, or set-points that the model does not take.
+        ValueError: an older deployment, a damaged description, or set-points that the model does not take.
         ModuleNotFoundError: the package onnxruntime is not installed.
     """
 
@@ -33,7 +33,7 @@ class Graphs:
         path = Path(folder)
         if not (path / DESCRIPTION).is_file():
             raise FileNotFoundError(f"{folder} is no deployment: make one with `tsjepa deploy MODEL {folder}`.")
-        self.description: dict[str, Any] = json.loads((path / DESCRIPTION).read_text())
+        self.description: dict[str, Any] = read_json(path / DESCRIPTION)
         graphs = self.description.get("graphs", {})
         if lacking := [name for name in WANTED if name not in self.description]:
             raise ValueError(f"{folder} was deployed by an older version ({lacking[0]} is missing): deploy it anew.")

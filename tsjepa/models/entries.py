@@ -20,14 +20,14 @@ from torch import nn
 
 from tsjepa.models import hub
 from tsjepa.support.description import build, describe
-from tsjepa.support.files import exclusive, replace_folder
+from tsjepa.support.files import exclusive, json_text, replace_folder
+from tsjepa.support.foreign import is_pointer
 from tsjepa.support.spec import PlantSpec
 
 FORMAT = 2
 FILES = ("config.yaml", "model.safetensors", "metrics.json", "README.md", "manifest.json")
 CONFIG, WEIGHTS, METRICS, CARD, MANIFEST = FILES
 HASHED = (CONFIG, WEIGHTS, METRICS)
-LFS_POINTER = b"version https://git-lfs"
 WEIGHT_DTYPES = {"float32": torch.float32, "float16": torch.float16}
 
 
@@ -104,10 +104,9 @@ def digests(folder: Path) -> dict[str, str]:
 def _content(path: Path) -> bytes:
     if not path.is_file():
         raise DamagedEntryError(f"{path} is missing; fetch the entry anew.")
-    content = path.read_bytes()
-    if content.startswith(LFS_POINTER):
+    if is_pointer(path):
         raise DamagedEntryError(f"{path} is a pointer of Git LFS instead of the file itself: run `git lfs pull`.")
-    return content
+    return path.read_bytes()
 
 
 def load(name_or_path: str | Path, sha256: str | None = None, trusted: bool = False) -> nn.Module:
@@ -192,20 +191,26 @@ def save(
             tensor with a value beyond the range of float16.
 
     Raises:
-        ValueError: another dtype, or a part of the model that cannot be described.
+        ValueError: another dtype, a part of the model that cannot be described, or a weight or figure that is not
+            finite; what was there stays.
         FileExistsError: another process is writing the same entry.
         OSError: no room, or no right to write; what was there stays.
     """
     if dtype not in WEIGHT_DTYPES:
         raise ValueError(f"Weights are stored as {' or '.join(WEIGHT_DTYPES)}, not as {dtype!r}.")
-    config = configuration(model)
     folder = Path(folder)
+    weights = _stored(model, WEIGHT_DTYPES[dtype])
+    texts = {
+        CONFIG: yaml.safe_dump(configuration(model), sort_keys=False),
+        METRICS: json_text(folder / METRICS, metrics or {}, indent=2) + "\n",
+        CARD: card,
+    }
     with exclusive(folder):
         partial = folder.with_name(folder.name + ".partial")
         shutil.rmtree(partial, ignore_errors=True)
         partial.mkdir(parents=True)
         try:
-            _write(model, config, partial, metrics or {}, card, WEIGHT_DTYPES[dtype])
+            _write(partial, texts, weights)
         except (OSError, SafetensorError) as error:
             shutil.rmtree(partial, ignore_errors=True)
             raise OSError(f"The model could not be written to {folder} ({error}); what was there is whole.") from error
@@ -213,11 +218,10 @@ def save(
     return folder
 
 
-def _write(model: nn.Module, config: dict, partial: Path, metrics: dict, card: str, dtype: torch.dtype) -> None:
-    (partial / CONFIG).write_text(yaml.safe_dump(config, sort_keys=False))
-    (partial / METRICS).write_text(json.dumps(metrics, indent=2) + "\n")
-    (partial / CARD).write_text(card, encoding="utf-8")
-    save_file(_stored(model, dtype), partial / WEIGHTS)
+def _write(partial: Path, texts: dict[str, str], weights: dict[str, torch.Tensor]) -> None:
+    for name, text in texts.items():
+        (partial / name).write_text(text, encoding="utf-8")
+    save_file(weights, partial / WEIGHTS)
     (partial / WEIGHTS).chmod(0o644)  # safetensors lets only the owner read
     digests = {name: hashlib.sha256((partial / name).read_bytes()).hexdigest() for name in HASHED}
     # no newline at its end: a manifest that is cut anywhere is no longer JSON
@@ -225,11 +229,19 @@ def _write(model: nn.Module, config: dict, partial: Path, metrics: dict, card: s
 
 
 def _stored(model: nn.Module, dtype: torch.dtype) -> dict[str, torch.Tensor]:
-    """The tensors as they go to disk."""
+    """The tensors as they go to disk.
+
+    Raises:
+        ValueError: a weight is not finite. A statistic may be, of a part that nobody has fitted.
+    """
     trained = {name for name, _ in model.named_parameters()}
     stored = {}
     for name, tensor in model.state_dict().items():
         tensor = tensor.detach().cpu().contiguous()
+        if name in trained and not tensor.isfinite().all():
+            raise ValueError(
+                f"The model is not stored: its weight {name} is not finite; fit it at a lower learning rate."
+            )
         if tensor.is_floating_point():
             tensor = tensor.float()
             narrow = tensor.to(dtype)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import inspect
-import os
 from pathlib import Path
 from types import ModuleType
 from typing import Literal
@@ -13,6 +12,7 @@ import yaml
 from tsjepa.paper import FIGURES, module_of, store
 from tsjepa.paper.sweep import check as check_figure
 from tsjepa.paper.sweep import run_sweep
+from tsjepa.support.processor import cores
 from tsjepa.support.recipes import find_recipe
 
 RESULTS = "docs/results/figures"
@@ -52,7 +52,7 @@ def figures(
         module = module_of(name)
         if recompute:
             points = points_of(module, settings or recipe_settings(name))
-            run_sweep(module, points, results, launcher, workers or os.cpu_count())
+            run_sweep(module, points, results, launcher, workers or cores())
         drawn.append({"figure": name, "points": redraw(module, results)})
     return drawn
 

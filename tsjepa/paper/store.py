@@ -7,7 +7,7 @@ import io
 import json
 from pathlib import Path
 
-from tsjepa.support.files import json_text, write_text
+from tsjepa.support.files import json_text, read_json, write_text
 
 DIGITS = 6
 
@@ -21,7 +21,7 @@ def read(folder: str | Path, figure: str) -> list[dict]:
     digits of the hash of the package's source).
     """
     path = Path(folder) / f"{figure}.json"
-    return json.loads(path.read_text())["records"] if path.is_file() else []
+    return read_json(path)["records"] if path.is_file() else []
 
 
 def write(folder: str | Path, figure: str, records: list[dict]) -> None:

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
-import os
 
 import mujoco
 import numpy as np
 from mujoco.rollout import Rollout
 
+from tsjepa.support.processor import cores
+
 MAX_TIMESTEP = 0.002  # seconds
-THREADS = min(4, os.cpu_count() or 1)
+THREADS = min(4, cores())
 FULL_STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 
 

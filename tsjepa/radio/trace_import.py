@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import shutil
 from itertools import pairwise
 from pathlib import Path
 
@@ -13,6 +11,7 @@ import numpy as np
 from tsjepa.radio.trace_formats import read_links
 from tsjepa.radio.trace_log import Log
 from tsjepa.radio.trace_tables import COLUMNS
+from tsjepa.support.files import whole
 from tsjepa.support.foreign import optional, reason
 
 LISTED = 8
@@ -46,17 +45,13 @@ def import_trace(path: str, output: str, column: str | None = None, period_s: fl
         raise ValueError(f"period_s is {period_s}; it is a time in seconds, such as 0.02.")
     logs, skipped = read_logs(Path(path), parse_columns(column), period_s)
     report = {"devices": [describe(name, log) for name, log in logs.items()], "skipped": skipped}
-    partial = target.with_suffix(".partial")
-    shutil.rmtree(partial, ignore_errors=True)
-    partial.mkdir(parents=True)
-    try:  # all three are written before one of them replaces what was there
-        write_table(partial / "table", list(logs.values()))
-        draw(partial / "picture", logs)
-        (partial / "report").write_text(json.dumps(report, indent=2) + "\n")
-        for name, suffix in (("table", ".parquet"), ("picture", ".png"), ("report", ".json")):
-            os.replace(partial / name, target.with_suffix(suffix))
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    beside = {suffix: target.with_suffix(suffix) for suffix in (".png", ".json")}
+    # all three are written before one of them replaces what was there
+    with whole(target) as table, whole(beside[".png"]) as picture, whole(beside[".json"]) as told:
+        write_table(table, list(logs.values()))
+        draw(picture, logs)
+        told.write_text(json.dumps(report, indent=2) + "\n")
     print(text(report))
     return report
 

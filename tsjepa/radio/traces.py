@@ -12,7 +12,6 @@ of which all but ``time_s`` may be absent. ``tsjepa trace import`` brings other 
 
 import csv
 import math
-import os
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,6 +19,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from tsjepa.support.files import whole
 from tsjepa.support.foreign import optional
 from tsjepa.support.tables import read_table
 
@@ -91,18 +91,17 @@ def _label(cell: object) -> str:
 def write_trace(path: str | Path, trace: Trace) -> None:
     """Write a trace in the normal form, CSV or (by its suffix) Parquet; the file appears when it is whole."""
     path = Path(path)
-    partial = path.with_name(path.name + ".partial")
     table = {"time_s": trace.time_s.tolist(), "device": [trace.names[i] for i in trace.device.tolist()]}
     for name, column in trace.values.items():
         table[name] = [None if math.isnan(value) else value for value in column.tolist()]
-    if path.suffix == ".parquet":
-        optional("pyarrow.parquet").write_table(optional("pyarrow").table(table), partial)
-    else:
-        with partial.open("w", newline="") as file:
-            writer = csv.writer(file)
-            writer.writerow(table)
-            writer.writerows(zip(*table.values(), strict=True))
-    os.replace(partial, path)
+    with whole(path) as partial:
+        if path.suffix == ".parquet":
+            optional("pyarrow.parquet").write_table(optional("pyarrow").table(table), partial)
+        else:
+            with partial.open("w", newline="") as file:
+                writer = csv.writer(file)
+                writer.writerow(table)
+                writer.writerows(zip(*table.values(), strict=True))
 
 
 def on_slots(trace: Trace, slot_s: float, stretch: float = 1.0) -> SlotTrace:

@@ -16,12 +16,49 @@ from typing import Any
 AT_FDCWD, RENAME_EXCHANGE = -100, 2  # of Linux's fcntl.h
 
 
-def write_text(path: str | Path, text: str) -> None:
-    """Writes ``text`` beside ``path`` and renames it into place."""
+@contextmanager
+def whole(path: str | Path, suffix: str = "") -> Iterator[Path]:
+    """Gives the name beside ``path`` to write to, which is renamed into place when the block is left.
+
+    Args:
+        path: of the file.
+        suffix: that the name ends in, for a writer that chooses the format by it.
+
+    Raises:
+        OSError: the file could not be written, of which nothing is left; what was there stays.
+    """
     path = Path(path)
-    partial = path.with_name(path.name + ".partial")
-    partial.write_text(text)
-    os.replace(partial, path)
+    partial = path.with_name(f"{path.name}.partial{suffix}")
+    try:
+        yield partial
+        os.replace(partial, path)
+    except OSError as error:
+        if error.errno is not None and error.filename is None:
+            error.filename = str(path)  # a full disk's does not say which file
+        raise
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def write_text(path: str | Path, text: str) -> None:
+    """Writes ``text`` as :func:`whole` does."""
+    with whole(path) as partial:
+        partial.write_text(text)
+
+
+def read_json(path: str | Path) -> dict[str, Any]:
+    """The JSON object in ``path``.
+
+    Raises:
+        ValueError: the file holds something else.
+    """
+    try:
+        value = json.loads(Path(path).read_text())
+    except ValueError as error:
+        raise ValueError(f"{path} is damaged: it is no JSON ({error}); make it anew.") from error
+    if not isinstance(value, dict):
+        raise ValueError(f"{path} is damaged: it holds no JSON object; make it anew.")
+    return value
 
 
 def write_json(path: str | Path, value: Any, indent: int = 2) -> None:

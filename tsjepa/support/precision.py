@@ -11,10 +11,11 @@ import os
 import platform
 import time
 from dataclasses import dataclass
-from pathlib import Path
 
 import torch
 from torch import nn
+
+from tsjepa.support.processor import cpu_flags, processor
 
 FLOAT32, BFLOAT16 = "32-true", "bf16-mixed"  # as Lightning's trainer.precision names them
 MEMORY_FORMATS = {"channels_last": torch.channels_last, "contiguous": torch.contiguous_format}
@@ -52,15 +53,6 @@ def has_bfloat16_units(device: torch.device) -> bool:
         and any("bf16" in flag for flag in cpu_flags())
         and any(word in limit for word in WITH_UNITS)
     )
-
-
-def cpu_flags() -> list[str]:
-    """The processor's instruction sets that decide the speed, such as avx2, avx512_f, avx512_bf16, amx_bf16."""
-    known = ("avx2", "avx512_f", "avx512_bf16", "avx512_fp16", "amx_bf16", "amx_fp16")
-    found = torch.cpu.get_capabilities()
-    return [
-        name for name, value in found.items() if value is True and (name in known or name.startswith(("arm", "sve")))
-    ]
 
 
 def candidates(device: torch.device) -> list[Precision]:
@@ -142,12 +134,3 @@ def describe(precision: Precision, device: torch.device) -> str:
         where = f"{processor()} ({' '.join(cpu_flags()) or platform.machine()}), {torch.get_num_threads()} threads"
     limits = [f"{name}={os.environ[name]}" for name in LIMITS if name in os.environ]
     return ", ".join([f"{precision.trainer}, {precision.memory_format}, on {where}", *limits])
-
-
-def processor() -> str:
-    """Name of the processor."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-        return next(line.split(":")[1].strip() for line in lines if line.startswith("model name"))
-    except (OSError, StopIteration):
-        return platform.processor() or platform.machine()

@@ -13,7 +13,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from tsjepa.support.precision import LIMITS, cpu_flags, processor
+from tsjepa.support.precision import LIMITS
+from tsjepa.support.processor import cores, cpu_flags, processor
 
 # what decides the figures; results lie elsewhere and change while they are made
 CODE = ("tsjepa", "recipes", "pyproject.toml")
@@ -41,9 +42,9 @@ def program() -> list[str]:
 
 
 def machine() -> dict[str, str | int]:
-    """Processor, its number of cores here, the instruction sets it has, and what the environment limits them to."""
+    """Processor, the cores that this process may use, the instruction sets, and what the environment limits them to."""
     limits = {name: os.environ[name] for name in LIMITS if name in os.environ}
-    return {"processor": processor(), "cores": os.cpu_count() or 1, "flags": " ".join(cpu_flags()), **limits}
+    return {"processor": processor(), "cores": cores(), "flags": " ".join(cpu_flags()), **limits}
 
 
 def commit_of(folder: Path) -> str | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from pathlib import Path
 
@@ -93,7 +94,9 @@ class ExportModel(lightning.Callback):
 
     def on_fit_end(self, trainer: lightning.Trainer, module: lightning.LightningModule) -> None:
         if trainer.is_global_zero:
-            values = {name: float(value) for name, value in trainer.callback_metrics.items()}
+            # JSON has no NaN, and a figure that is none is no reason to lose the model
+            numbers = {name: float(value) for name, value in trainer.callback_metrics.items()}
+            values = {name: number if math.isfinite(number) else None for name, number in numbers.items()}
             used = {"precision": trainer.precision, "memory_format": memory_format_of(module)}
             metrics = {"made_by": provenance(), "machine": machine() | used, **values}
             folder = Path(trainer.default_root_dir) / "model"

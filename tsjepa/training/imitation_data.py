@@ -24,12 +24,17 @@ class RowSampler(Sampler):
         rank, world_size: this process among all, each of which takes its share of every batch.
 
     Raises:
-        ValueError: the rows of a batch do not divide among the processes.
+        ValueError: the rows of a batch do not divide among the processes, or there are fewer rows than a batch has.
     """
 
     def __init__(self, rows: int, batch: int, seed: int, rank: int = 0, world_size: int = 1) -> None:
         if batch % world_size:
             raise ValueError(f"batch_size = {batch} does not divide among {world_size} processes.")
+        if rows < batch:
+            raise ValueError(
+                f"The splits give {rows} rows, and batch_size = {batch} takes more: make data.init_args.batch_size "
+                f"{rows} or smaller, or collect more episodes."
+            )
         self.rows, self.batch, self.seed, self.epoch = rows, batch, seed, 0
         self.rank, self.world_size = rank, world_size
 

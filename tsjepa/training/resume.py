@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from lightning.pytorch import Callback, LightningModule, Trainer
 from lightning.pytorch.loggers import CSVLogger
 from lightning.pytorch.loggers.csv_logs import ExperimentWriter
 from lightning.pytorch.plugins.io import TorchCheckpointIO
@@ -54,7 +55,7 @@ def _cause(error: BaseException) -> str:
 
 
 class ContinuedWriter(ExperimentWriter):
-    """Keeps the rows of an earlier process up to the step at which this one logs first."""
+    """Keeps the whole rows of an earlier process up to the step at which this one logs first."""
 
     def _check_log_dir_exists(self) -> None:
         """Lightning deletes the earlier log here."""
@@ -62,17 +63,46 @@ class ContinuedWriter(ExperimentWriter):
     def log_metrics(self, metrics_dict: dict[str, float], step: int | None = None) -> None:
         path = Path(self.metrics_file_path)
         if not self.metrics_keys and path.is_file():
-            with path.open(newline="") as file:
-                reader = csv.DictReader(file)
-                rows = [row for row in reader if int(row["step"]) < (step or 0)]
-            self.metrics_keys = list(reader.fieldnames or ())
-            lines = [self.metrics_keys, *([row[key] for key in self.metrics_keys] for row in rows)]
-            write_text(path, "".join(",".join(line) + "\n" for line in lines))
+            self.metrics_keys, rows = whole_rows(path)
+            kept = [row for row in rows if int(row["step"]) < (step or 0)]
+            if self.metrics_keys:
+                lines = [self.metrics_keys, *([row[key] for key in self.metrics_keys] for row in kept)]
+                write_text(path, "".join(",".join(line) + "\n" for line in lines))
+            else:
+                path.unlink()
         super().log_metrics(metrics_dict, step)
 
 
+def whole_rows(path: Path) -> tuple[list[str], list[dict[str, str]]]:
+    """The columns of a log and its rows, without those that a kill or a full disk has cut; no columns without a step.
+
+    A line that was cut may have another one written on behind it.
+    """
+    lines = path.read_text().splitlines(keepends=True)
+    reader = csv.DictReader(line for line in lines if line.endswith("\n"))
+    columns = list(reader.fieldnames or ())
+    if "step" not in columns:
+        return [], []
+    # the reader gives None to a column that is lacking, and puts what is too many under the name None
+    rows = [row for row in reader if None not in row and None not in row.values() and row["step"].isdecimal()]
+    return columns, rows
+
+
+class FreshLog(Callback):
+    """Removes an earlier fit's log from the folder of one that goes on from no checkpoint. Every ``tsjepa fit`` has it.
+
+    Lightning has read by then the checkpoint that there is to go on from; ``--ckpt_path last`` may find none.
+    """
+
+    def on_train_start(self, trainer: Trainer, module: LightningModule) -> None:
+        if trainer.is_global_zero and not trainer.ckpt_path:
+            for logger in trainer.loggers:
+                if isinstance(logger, ContinuedCSVLogger):
+                    Path(logger.experiment.metrics_file_path).unlink(missing_ok=True)
+
+
 class ContinuedCSVLogger(CSVLogger):
-    """A ``metrics.csv`` that a resumed fit continues; a fresh fit in the same folder starts it anew."""
+    """A ``metrics.csv`` that a resumed fit continues; :class:`FreshLog` starts it anew in a fresh one."""
 
     @property
     def experiment(self) -> ExperimentWriter:

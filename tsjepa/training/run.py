@@ -17,7 +17,7 @@ from lightning.pytorch.callbacks import Callback, ModelCheckpoint
 from lightning.pytorch.cli import LightningArgumentParser, LightningCLI, SaveConfigCallback
 
 from tsjepa.support.allocator import keep_freed_memory
-from tsjepa.support.files import exclusive
+from tsjepa.support.files import exclusive, write_text
 from tsjepa.support.precision import (
     BFLOAT16,
     MEMORY_FORMATS,
@@ -31,17 +31,25 @@ from tsjepa.support.recipes import error_method, find_recipes
 from tsjepa.support.trust import TRUST
 from tsjepa.training.callbacks import ExportModel, Pace, StopWhenNotFinite, WritePredictions
 from tsjepa.training.continuing import RecipeRules, changes, other_sizes, stored_settings
-from tsjepa.training.resume import ContinuedCSVLogger
+from tsjepa.training.resume import ContinuedCSVLogger, FreshLog
 
 ROOT = "runs/fit"  # where a recipe without trainer.default_root_dir leaves its results
 
 
 class SaveFitConfig(SaveConfigCallback):
-    """Keeps the configuration that a model was trained with; the other commands would replace it."""
+    """Keeps the configuration that a model was trained with: ``config.yaml`` in default_root_dir, whatever the logger.
+
+    The other commands would replace it.
+    """
 
     def setup(self, trainer, pl_module, stage: str) -> None:
         if stage == "fit":
             super().setup(trainer, pl_module, stage)
+
+    def save_config(self, trainer, pl_module, stage: str) -> None:
+        folder = Path(trainer.default_root_dir)
+        folder.mkdir(parents=True, exist_ok=True)
+        write_text(folder / self.config_filename, self.parser.dump(self.config, skip_unset=False))
 
 
 def decide(given: Precision | None, trainer: Namespace, model: LightningModule) -> Precision:
@@ -89,7 +97,7 @@ def equipment(root: Path, checkpoints: bool) -> list[Callback]:
 
     The export comes behind what a recipe lists, so that it writes what the finishes have made.
     """
-    every = [RecipeRules(), StopWhenNotFinite(), Pace(), ExportModel(), WritePredictions()]
+    every = [FreshLog(), RecipeRules(), StopWhenNotFinite(), Pace(), ExportModel(), WritePredictions()]
     if not checkpoints:
         return every
     last = {"save_last": True, "every_n_epochs": 1, "save_on_train_epoch_end": True, "enable_version_counter": False}
@@ -160,8 +168,7 @@ def run_lightning(
         # Two fits in one folder would mix their checkpoints and logs.
         def before_fit(self) -> None:
             if self.trainer.is_global_zero:
-                logger = self.trainer.logger
-                stack.enter_context(exclusive(logger.log_dir if logger else self.trainer.default_root_dir))
+                stack.enter_context(exclusive(self.trainer.default_root_dir))
                 settings = self.config[command]
                 chosen = Precision(settings.trainer.precision, settings.memory_format)
                 print(f"This fit computes in {describe(chosen, self.trainer.strategy.root_device)}.")
@@ -186,7 +193,7 @@ def run_lightning(
         line = CommandLine(
             save_config_callback=SaveFitConfig,
             seed_everything_default=0,
-            save_config_kwargs={"overwrite": True},
+            save_config_kwargs={"save_to_log_dir": False},
             auto_configure_optimizers=False,
             trainer_defaults={
                 "plugins": [

@@ -17,8 +17,8 @@ GRACE = 10.0  # seconds in which a command that is told to stop may end by itsel
 def run(words: list[str]) -> float:
     """Runs a command of the program; the seconds that it took.
 
-    However this process ends, the command ends with it. Ctrl-C and SIGTERM are passed on to the command, which is
-    waited for.
+    What the command says goes where this process prints. However this process ends, the command ends with it. Ctrl-C
+    and SIGTERM are passed on to the command, which is waited for.
 
     Args:
         words: of the command, after the program's name.
@@ -30,7 +30,7 @@ def run(words: list[str]) -> float:
     began = time.monotonic()
     command = [sys.executable, "-m", "tsjepa.cli.step", *words]
     # the command ends when its standard input is closed, which leaving this block does, and the end of this process
-    with subprocess.Popen(command, stdin=subprocess.PIPE) as process, sigterm_raises():
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=output()) as process, sigterm_raises():
         try:
             status = process.wait()
         except BaseException as stopped:
@@ -40,6 +40,14 @@ def run(words: list[str]) -> float:
     if status:
         raise RuntimeError(f"`tsjepa {words[0]}` ended with status {status}: mend what it says, and start this again.")
     return time.monotonic() - began
+
+
+def output() -> int | None:
+    """The file to which this process says things, which ``--json`` makes standard error; None where there is none."""
+    try:
+        return sys.stdout.fileno()
+    except (AttributeError, OSError):  # None, or text that is kept in memory
+        return None
 
 
 def stop(process: subprocess.Popen) -> None:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import tempfile
 from dataclasses import asdict
 from pathlib import Path
 
 from tsjepa.evaluation.evaluate import evaluate
 from tsjepa.models import Controller, entries
+from tsjepa.support.files import read_json
 from tsjepa.zoo.card import card
 from tsjepa.zoo.training_history import data_sets, training_history
 from tsjepa.zoo.verify import rescore
@@ -39,6 +39,10 @@ def export(
 
     Returns:
         ``entry``, the folder.
+
+    Raises:
+        ValueError: a name with folders, an evaluation of other weights, a damaged file, or scores that 16 bits change.
+        FileNotFoundError: there is no such run or evaluation.
     """
     if name in ("", "..") or Path(name).name != name:
         raise ValueError(f"{name!r} is no name of an entry: leave out folders, which --folder gives.")
@@ -50,7 +54,7 @@ def export(
     if not decoder:
         model.decoder = None
     if training_seeds is not None:
-        metrics["training_seeds"] = json.loads(Path(training_seeds).read_text())
+        metrics["training_seeds"] = read_json(training_seeds)
     metrics["weights"] = {
         "dtype": "float16" if half else "float32",
         "parameters": sum(parameter.numel() for parameter in model.parameters()),
@@ -71,7 +75,7 @@ def model_folder(run: str) -> Path:
 def evaluation_of(model: Controller, source: Path, evaluation: str | None, history: list[dict]) -> dict:
     """The figures of ``model``, measured now unless they are there."""
     path = Path(evaluation) if evaluation else source.parent / "evaluation" / "evaluation.json"
-    figures = json.loads(path.read_text()) if path.is_file() else {}
+    figures = read_json(path) if path.is_file() else {}
     if figures.get("model_sha256") == model.entry_sha256:
         return figures
     if evaluation and not figures:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -10,6 +9,7 @@ from safetensors import safe_open
 
 from tsjepa.evaluation.summary import FIRST_LOST
 from tsjepa.models.entries import METRICS, WEIGHTS, find
+from tsjepa.support.files import read_json
 
 LISTED_PERIODS = (1, 5, 10, 20)  # slots between updates
 HEADINGS = (
@@ -41,7 +41,7 @@ def own_rows(metrics: dict) -> dict[int | str, dict]:
 def key_figures(name: str) -> dict[str, str]:
     """What the list shows of an entry, by heading: scores with their 95 % intervals; "-" where nobody has measured."""
     folder = find(name)
-    metrics = json.loads((folder / METRICS).read_text())
+    metrics = read_json(folder / METRICS)
     rows = own_rows(metrics)
     scores = [rows.get(period) for period in LISTED_PERIODS]
     first_lost = rows.get("once", {}).get(FIRST_LOST, "-")
@@ -58,7 +58,7 @@ def key_figures(name: str) -> dict[str, str]:
 
 def seed_figures(name: str) -> dict[str, str] | None:
     """What the list shows of the training seeds of an entry's recipe, by heading; None where it was trained once."""
-    of_seeds = json.loads((find(name) / METRICS).read_text()).get("training_seeds")
+    of_seeds = read_json(find(name) / METRICS).get("training_seeds")
     return None if of_seeds is None else dict(zip(SEED_HEADINGS, [Path(name).name, *seed_cells(of_seeds)], strict=True))
 
 

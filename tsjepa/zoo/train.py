@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import json
+import re
 import shlex
+from hashlib import sha256
 from pathlib import Path
 
 from tsjepa.models import entries
 from tsjepa.support.checks import at_least
-from tsjepa.support.files import exclusive, write_json
-from tsjepa.support.journal import Journal
+from tsjepa.support.files import exclusive, read_json, write_json
+from tsjepa.support.journal import Journal, settings_in
 from tsjepa.support.provenance import machine
+from tsjepa.support.recipes import find_recipe
 from tsjepa.zoo.child import run
 from tsjepa.zoo.figures import listed
 from tsjepa.zoo.steps import ENTRIES, FRESH, VALIDATION, Made, before, evaluation, fits, run_of
@@ -19,6 +22,7 @@ from tsjepa.zoo.training_seeds import over_seeds, validation_error
 FOLDER = "runs/zoo"
 SEEDS_FILE = "training_seeds.json"
 COLLECTED = " with collecting the data"
+RECIPE, COMMENT = re.compile(r"recipes/[\w./-]+\.yaml"), re.compile("#.*")
 
 
 def train(name: str, seeds: int = 1) -> Path:
@@ -39,7 +43,8 @@ def train(name: str, seeds: int = 1) -> Path:
         Folder of the entry.
 
     Raises:
-        ValueError: there is no recipe for such an entry, or no seed.
+        ValueError: there is no recipe for such an entry, or no seed; or what is there was made by other recipes or
+            commands.
         RuntimeError: a command failed.
     """
     if name not in ENTRIES:
@@ -51,7 +56,7 @@ def train(name: str, seeds: int = 1) -> Path:
         homes = [f"{home.as_posix()}/seed{seed}" for seed in range(seeds)]
         times = [fitted(made, of_seed, seed) for seed, of_seed in enumerate(homes)]
         models = [entries.fingerprint(f"{run_of(made, each)}/model") for each in homes]
-        journal = Journal(home / "steps.journal", models)
+        journal = Journal(home / "steps.journal", {"models": models, "recipes": hashes(evaluation(made, homes[0], ""))})
         best = shipped(made, homes, journal)
         do(journal, "evaluate", evaluation(made, homes[best], f"{home.as_posix()}/evaluation"))
         options = ["--evaluation", f"{home.as_posix()}/evaluation/evaluation.json", "--half", "true"]
@@ -75,7 +80,8 @@ def fitted(made: Made, home: str, seed: int) -> dict[str, dict]:
     """All fits of a training seed, those that are done before left out; how long each took, and where.
 
     Raises:
-        ValueError: a fit that is done has started from other weights than ``made.after`` has.
+        ValueError: what lies in ``home`` was made by other commands or recipes, or a fit that is done has started from
+            other weights than ``made.after`` has.
     """
     folder = Path(home)
     folder.mkdir(parents=True, exist_ok=True)
@@ -87,7 +93,15 @@ def fitted(made: Made, home: str, seed: int) -> dict[str, dict]:
             earlier = fitted(ENTRIES[made.after], base, seed)
         first = entries.fingerprint(f"{run_of(ENTRIES[made.after], base)}/model")
     steps = fits(made, home, seed)
-    journal = Journal(folder / "steps.journal", steps)
+    settings = {"commands": steps, "recipes": hashes(*steps.values())}
+    path = folder / "steps.journal"
+    # its checkpoints and models would go on as those of these recipes
+    if (path.is_file() or any((folder / step).exists() for step in steps)) and settings_in(path) != settings:
+        raise ValueError(
+            f"What is in {home} was made by other recipes, commands or versions than there are: move it away and start "
+            "again."
+        )
+    journal = Journal(path, settings)
     for fit, (step, words) in zip(made.fits, steps.items(), strict=True):
         if step in journal.done and journal.done[step].get("first") != first:
             raise ValueError(
@@ -97,6 +111,19 @@ def fitted(made: Made, home: str, seed: int) -> dict[str, dict]:
         collects = not Path(fit.data or made.data).is_dir()
         do(journal, step, [*words, "--ckpt_path", "last"] if begun else words, collects=collects, first=first)
     return earlier | journal.done
+
+
+def hashes(*commands: list[str]) -> dict[str, str]:
+    """SHA-256 of every recipe that ``commands`` name, and of those that these name in turn, by its path."""
+    digests: dict[str, str] = {}
+    named = RECIPE.findall(" ".join(word for words in commands for word in words))
+    while named:
+        name = named.pop()
+        if name not in digests:
+            content = Path(find_recipe(name)).read_bytes()
+            digests[name] = sha256(content).hexdigest()
+            named += RECIPE.findall(COMMENT.sub("", content.decode()))
+    return digests
 
 
 def do(journal: Journal, step: str, words: list[str], **notes: object) -> None:
@@ -127,7 +154,7 @@ def compare(made: Made, homes: list[str], journal: Journal, best: int) -> dict:
     for seed, home in enumerate(homes):
         words = evaluation(made, home, f"{home}/fresh")
         do(journal, f"evaluate seed {seed}", [*words, "--first_seed", str(FRESH), "--video", "false"])
-    evaluations = [json.loads(Path(home, "fresh", "evaluation.json").read_text()) for home in homes]
+    evaluations = [read_json(Path(home, "fresh", "evaluation.json")) for home in homes]
     return over_seeds(evaluations, journal.done["validation"], best, made.data, VALIDATION)
 
 
