@@ -348,9 +348,9 @@ def test_table(tmp_path, script):
     for name, figures in (("memory", memory), ("loading", loading)):
         (tmp_path / f"{name}.json").write_text(json.dumps(origin | figures))
     lines = script("table").table(tmp_path).splitlines()
-    assert "| loading the slowest of 2 zoo entries, slow | 1.50 s |  |  | ≤ 2 | yes |" in lines[2]
+    assert "| loading the slowest of 2 zoo entries, slow | 1.50 s |  |  | ≤ 2 s | yes |" in lines[2]
     assert lines[3] == (
-        "| memory growth in per cent, 1,000 devices for 10,000 slots | 2.5 | 500.0 MB after a tenth |  | ≤ 2 | no "
+        "| memory growth in per cent, 1,000 devices for 10,000 slots | 2.5 | 500.0 MB after a tenth |  | ≤ 2 % | no "
         "| abc |"
     )
     made = "- memory.json: abc, 2026-01-02, 2 cores of P, load average 0.1 at the end; "
