@@ -136,6 +136,7 @@ def test_a_second_start_goes_on_where_the_first_was_broken_off(program, capsys):
 
 
 HOME = Path("runs/zoo", NAME)
+EDIT = "edited: true\n"
 REFUSED = "seed0 was made by other recipes, commands or versions than there are: move it away and start again"
 
 
@@ -154,7 +155,7 @@ def test_what_other_recipes_have_made_is_neither_continued_nor_shipped(program, 
     program(reached)
     before = {path: path.read_bytes() for path in HOME.rglob("*") if path.is_file()}
     kept = (recipes / f"{edited}.yaml").read_text()
-    (recipes / f"{edited}.yaml").write_text(kept + "# edited\n")
+    (recipes / f"{edited}.yaml").write_text(kept + EDIT)
     with pytest.raises(ValueError, match=REFUSED):
         train(NAME)
     assert {path: path.read_bytes() for path in HOME.rglob("*") if path.is_file()} == before
@@ -164,7 +165,7 @@ def test_what_other_recipes_have_made_is_neither_continued_nor_shipped(program, 
         "seed0/jepa": ["fit", "fit", "evaluate", "export"], "seed0/actor": ["fit", "evaluate", "export"], "nothing": []
     }[reached]  # fmt: skip
     assert reached == "nothing" or again[0][1]["--ckpt_path"] == "last"
-    (recipes / f"{edited}.yaml").write_text(kept + "# edited\n")
+    (recipes / f"{edited}.yaml").write_text(kept + EDIT)
     (HOME / "seed0").rename(HOME / "away")
     assert all("--ckpt_path" not in options for _, options in program())
 
@@ -175,10 +176,17 @@ def test_recipes_that_no_command_of_the_entry_names_may_be_edited(program, recip
     assert program() == []
 
 
+def test_the_comments_of_a_recipe_may_be_edited(program, recipes):
+    program()
+    for path in recipes.rglob("*.yaml"):
+        path.write_text(f"# recipes/none.yaml\n{path.read_text()}# edited\n")
+    assert program() == []
+
+
 def test_an_evaluation_by_another_recipe_is_made_anew(program, recipes):
     program()
     with (recipes / "evaluate.yaml").open("a") as file:
-        file.write("# edited\n")
+        file.write(EDIT)
     assert [command for command, _ in program()] == ["evaluate", "export"]
 
 

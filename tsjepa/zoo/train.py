@@ -8,6 +8,8 @@ import shlex
 from hashlib import sha256
 from pathlib import Path
 
+import yaml
+
 from tsjepa.models import entries
 from tsjepa.support.checks import at_least
 from tsjepa.support.files import exclusive, read_json, write_json
@@ -22,7 +24,7 @@ from tsjepa.zoo.training_seeds import over_seeds, validation_error
 FOLDER = "runs/zoo"
 SEEDS_FILE = "training_seeds.json"
 COLLECTED = " with collecting the data"
-RECIPE, COMMENT = re.compile(r"recipes/[\w./-]+\.yaml"), re.compile("#.*")
+RECIPE = re.compile(r"recipes/[\w./-]+\.yaml")
 
 
 def train(name: str, seeds: int = 1) -> Path:
@@ -120,9 +122,9 @@ def hashes(*commands: list[str]) -> dict[str, str]:
     while named:
         name = named.pop()
         if name not in digests:
-            content = Path(find_recipe(name)).read_bytes()
-            digests[name] = sha256(content).hexdigest()
-            named += RECIPE.findall(COMMENT.sub("", content.decode()))
+            said = json.dumps(yaml.safe_load(Path(find_recipe(name)).read_text()))  # whatever its comments say
+            digests[name] = sha256(said.encode()).hexdigest()
+            named += RECIPE.findall(said)
     return digests
 
 
