@@ -22,7 +22,10 @@ POINT |= {"seeds": 2, "starts": 6, "slots": 100, "process_noise_std": 0.0}
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
     for name in RECIPES:
-        tiny.write(tmp_path, name, tiny.shrink(tiny.load(name)))
+        recipe = tiny.shrink(tiny.load(name))
+        if name == RECIPES[1]:
+            recipe["data"]["init_args"]["batch_size"] = 32  # of the 60 rows of a trajectory
+        tiny.write(tmp_path, name, recipe)
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
