@@ -59,16 +59,24 @@ def test_under_the_limits_of_an_avx2_machine_it_is_float32():
     ("seconds", "chosen"),
     [
         ({LAST16: 1.0, FIRST16: 2.0, LAST32: 3.0, FIRST32: 3.0}, LAST16),
-        ({LAST16: 1.0, FIRST16: 0.9, LAST32: 3.0, FIRST32: 3.0}, FIRST16),
+        ({LAST16: 1.0, FIRST16: 0.8, LAST32: 3.0, FIRST32: 3.0}, FIRST16),
         ({LAST16: 2.0, FIRST16: 2.0, LAST32: 1.0, FIRST32: 1.2}, LAST32),
         # so little more than the fastest is noise: the likeliest choice stays, and runs repeat
-        ({LAST16: 1.02, FIRST16: 1.0, LAST32: 3.0, FIRST32: 3.0}, LAST16),
+        ({LAST16: 1.08, FIRST16: 1.0, LAST32: 3.0, FIRST32: 3.0}, LAST16),
     ],
 )
 def test_the_fastest_is_chosen_unless_the_likeliest_is_as_good(monkeypatch, encoder, seconds, chosen):
     monkeypatch.setattr(precision, "candidates", lambda device: list(seconds))
     monkeypatch.setattr(precision, "seconds_a_step", lambda *arguments: seconds)
     assert choose(encoder, CPU) == chosen
+
+
+def test_one_interrupted_step_does_not_choose(monkeypatch, encoder):
+    """Steps that use the measurement's time up at once, of which one of the fastest way was interrupted."""
+    steps = [0.1, 0.1, 9.0, 2.0, 1.0, 2.0, 1.0, 2.0]
+    clock = iter([time for seconds in steps for time in (0.0, seconds)])
+    monkeypatch.setattr(precision, "_now", lambda device: next(clock))
+    assert precision.seconds_a_step(encoder, [LAST32, FIRST32], CPU) == {LAST32: 1.0, FIRST32: 2.0}
 
 
 def test_measuring_changes_neither_the_encoder_nor_a_stream_nor_the_threads(encoder):

@@ -20,8 +20,9 @@ from tsjepa.support.processor import cpu_flags, processor
 FLOAT32, BFLOAT16 = "32-true", "bf16-mixed"  # as Lightning's trainer.precision names them
 MEMORY_FORMATS = {"channels_last": torch.channels_last, "contiguous": torch.contiguous_format}
 BUDGET_S = 0.7  # for all measured steps but the first ones
+LEAST_TURNS, MOST_TURNS = 3, 10  # whatever they take, one alone may have been interrupted
 STACKS = 32  # a step of the measurement; fewer where the encoder is slow
-ALIKE = 0.97  # a choice that takes at most 1 / this of the fastest one's time is as good
+ALIKE = 0.9  # a choice that takes at most 1 / this of the fastest one's time is as good, so that runs repeat
 # Variables of the environment that keep libraries from instruction sets which the processor has.
 LIMITS = ("ONEDNN_MAX_CPU_ISA", "ATEN_CPU_CAPABILITY")
 # Values of the first that leave the bfloat16 units in use.
@@ -103,8 +104,10 @@ def seconds_a_step(encoder: nn.Module, choices: list[Precision], device: torch.d
             patches = patches[: len(patches) // 2]
         for choice in choices[1:]:
             step(choice)
-        seconds = {choice: [step(choice)] for choice in choices}
-        while sum(map(sum, seconds.values())) < BUDGET_S and len(seconds[choices[0]]) < 10:
+        seconds = {choice: [] for choice in choices}
+        for turn in range(MOST_TURNS):
+            if turn >= LEAST_TURNS and sum(map(sum, seconds.values())) > BUDGET_S:
+                break
             for choice in choices:
                 seconds[choice].append(step(choice))
     finally:
