@@ -19,8 +19,10 @@ PEERS_PYTHON ?= $(BIN)/python
 BENCHMARKS := camera training_step network fleet collection latency loading memory quality
 
 BIN := $(VENV)/bin
-# a file of tests stays in one process, because its tests share what they made
-PYTEST = $(BIN)/python -m pytest --numprocesses logical --maxprocesses 8 --dist loadfile
+# A file of tests stays in one process, because its tests share what they made; their order is that of tests/conftest.py.
+PYTEST = $(BIN)/python -m pytest --numprocesses logical --maxprocesses 8 --dist loadfile --no-loadscope-reorder
+# Which tests; all of them without it.
+TESTS ?=
 STAMP := $(VENV)/.setup-done
 
 .PHONY: help setup zoo train-jepa train-actor train-supervised train-autoencoder data evaluate demo figures figures-check report test test-fast lint types docs wheel faults audit bench
@@ -46,7 +48,7 @@ $(STAMP): pyproject.toml
 	fi
 	@echo "installing into $(VENV): a few minutes, about 2 GB (more where torch comes with CUDA)"
 	$(BIN)/python -m pip install --quiet $(PIP_FLAGS) --upgrade 'pip>=24' # older ones resolve for a quarter of an hour
-	$(BIN)/python -m pip install --quiet $(PIP_FLAGS) -e '.[test]'
+	$(BIN)/python -m pip install --quiet --no-compile $(PIP_FLAGS) -e '.[test]' # Python compiles what is imported
 	@touch $@
 
 train-jepa: setup ## collect the data, train TS-JEPA and the actor, close the loop, print the final table
@@ -89,10 +91,10 @@ report: setup ## write docs/results/report.md and report.html: each figure besid
 	$(BIN)/tsjepa report
 
 test: setup ## run all tests, on every core, each on one thread
-	$(PYTEST)
+	$(PYTEST) $(TESTS)
 
 test-fast: setup ## run the tests that take no longer than two seconds each
-	$(PYTEST) -m 'not slow'
+	$(PYTEST) -m 'not slow' $(TESTS)
 
 faults: setup ## kill every command fifty times and record what survives (about ten minutes)
 	$(BIN)/python tests/faults/kills.py --kills 50

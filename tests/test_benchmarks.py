@@ -15,16 +15,42 @@ from tsjepa.models import entries
 HOME = tiny.ROOT / "tests" / "benchmarks"
 
 
-def run(script: str, folder, *options: str) -> dict:
+def in_a_process(script: str, folder, *options: str) -> dict:
+    """What a benchmark writes that measures the memory of its own process."""
     output = folder / "out" / "result.json"
     command = [sys.executable, str(HOME / script), *options, "--output", str(output)]
     subprocess.run(command, cwd=folder, check=True, stdout=subprocess.DEVNULL)
     return json.loads(output.read_text())
 
 
+@pytest.fixture
+def script(monkeypatch):
+    """A benchmark's module, as it is imported when the script runs."""
+    monkeypatch.syspath_prepend(str(HOME))
+    return importlib.import_module
+
+
+def main_of(module, monkeypatch, *options: str) -> None:
+    monkeypatch.setattr("sys.argv", [module.__name__, *options])
+    module.main()
+
+
+@pytest.fixture
+def run(tmp_path, script, monkeypatch):
+    """Runs a benchmark in ``tmp_path``; what it writes."""
+
+    def measured(name: str, *options: str) -> dict:
+        output = tmp_path / "out" / "result.json"
+        monkeypatch.chdir(tmp_path)
+        main_of(script(name), monkeypatch, *options, "--output", str(output))
+        return json.loads(output.read_text())
+
+    return measured
+
+
 @pytest.mark.slow
-def test_camera(tmp_path):
-    result = run("camera.py", tmp_path, "--devices", "3", "--rounds", "2", "--frames", "20")
+def test_camera(run):
+    result = run("camera", "--devices", "3", "--rounds", "2", "--frames", "20")
     assert result["devices"] == 3
     assert set(result["frames_per_second"]) == {"fleet", "stock", "bare"}
     assert all(values["min"] > 0 and values["rounds"] == 2 for values in result["frames_per_second"].values())
@@ -38,7 +64,7 @@ def test_training_step(tmp_path):
     for name in ("recipes/jepa.yaml", "recipes/data.yaml"):
         tiny.write(tmp_path, name, tiny.shrink(tiny.load(name)))
     small = ["--steps", "4", "--warmup", "0", "--threads", "1", "--data.init_args.frames_per_batch", "16"]
-    result = run("training_step.py", tmp_path, *small)
+    result = in_a_process("training_step.py", tmp_path, *small)
     assert result["samples_per_step"] == 16
     assert result["training_over_resident"]["median"] > 0
     assert result["gigaflop_per_step"] > 0
@@ -47,33 +73,31 @@ def test_training_step(tmp_path):
 
 
 @pytest.mark.slow
-def test_commits(tmp_path):
+def test_commits(run):
     """This checkout beside itself."""
-    result = run(
-        "commits.py", tmp_path, "--old", str(tiny.ROOT), "--only", "network", "--rounds", "1", "--threads", "1"
-    )
+    result = run("commits", "--old", str(tiny.ROOT), "--only", "network", "--rounds", "1", "--threads", "1")
     assert result["network"]["new_over_old"]["median"] > 0
     assert result["network"]["old"]["rounds"] == 1
 
 
 @pytest.mark.slow
 def test_memory(tmp_path):
-    result = run("memory.py", tmp_path, "--devices", "50", "--slots", "600")
+    result = in_a_process("memory.py", tmp_path, "--devices", "50", "--slots", "600")
     assert result["episodes"] == 300
     assert result["growth_percent"] < 2
 
 
 @pytest.mark.slow
-def test_loading(tmp_path):
-    result = run("loading.py", tmp_path, "--rounds", "1", "--entries", "tsjepa-cartpole")
+def test_loading(run):
+    result = run("loading", "--rounds", "1", "--entries", "tsjepa-cartpole")
     assert set(result["seconds_to_load"]) == {"tsjepa-cartpole"}
     assert result["seconds_to_load"]["tsjepa-cartpole"]["min"] > 0
 
 
 @pytest.mark.slow
-def test_latency(tmp_path):
+def test_latency(tmp_path, run):
     model = str(entries.save(tiny_controller.tiny(), tmp_path / "model"))
-    result = run("latency.py", tmp_path, "--model", model, "--rounds", "3", "--devices", "1", "7")
+    result = run("latency", "--model", model, "--rounds", "3", "--devices", "1", "7")
     assert result["payload_bits"] == 8 * 8
     assert result["frame_bits"] == 8 * 2 * 64 * 128 * 3
     assert 0 < result["device_memory"]["of_which_python_and_onnx_runtime_mib"] < result["device_memory"]["peak_mib"]
@@ -87,9 +111,9 @@ def test_latency(tmp_path):
 
 
 @pytest.mark.slow
-def test_experts(tmp_path):
+def test_experts(tmp_path, script, monkeypatch):
     small = ["--seeds", "2", "--starts", "3", "--entries", "1", "--output", str(tmp_path)]
-    subprocess.run([sys.executable, str(HOME / "experts.py"), *small], check=True, stdout=subprocess.DEVNULL)
+    main_of(script("experts"), monkeypatch, *small)
     result = json.loads((tmp_path / "experts.json").read_text())
     kinds = {(row["expert"], row["held_slots"], row["noise"]) for row in result["rows"]}
     assert len(kinds) == len(result["rows"]) == 12
@@ -101,11 +125,10 @@ def test_experts(tmp_path):
 
 
 @pytest.mark.slow
-def test_hierarchy(tmp_path):
+def test_hierarchy(tmp_path, script, monkeypatch):
     small = ["--steps", "2", "--training_seeds", "2", "--seeds", "2", "--starts", "2", "--sizes", "2", "3"]
     small += ["--fleet_seeds", "1", "--episodes", "2", "1", "--work", str(tmp_path / "work"), "--output", str(tmp_path)]
-    command = [sys.executable, str(HOME / "hierarchy.py"), *small]
-    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+    main_of(script("hierarchy"), monkeypatch, *small)
     result = json.loads((tmp_path / "hierarchy.json").read_text())
     rows = result["rows"]
     assert {row["kind"] for row in rows.values()} == {"flat", "strides", "strides, no agreement", "flat, as shipped"}
@@ -115,15 +138,8 @@ def test_hierarchy(tmp_path):
     assert rows["flat, as shipped, 0"]["errors"]["10"][0] < rows["flat, 0"]["errors"]["10"][0]
     assert "Strides less flat" in (tmp_path / "hierarchy.md").read_text()
     before = (tmp_path / "work" / "rows.journal").read_bytes()
-    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+    main_of(script("hierarchy"), monkeypatch, *small)
     assert (tmp_path / "work" / "rows.journal").read_bytes() == before
-
-
-@pytest.fixture
-def script(monkeypatch):
-    """A benchmark's module, as it is imported when the script runs."""
-    monkeypatch.syspath_prepend(str(HOME))
-    return importlib.import_module
 
 
 def rows(script, part: str, result: dict) -> list[list[str]]:
@@ -132,10 +148,10 @@ def rows(script, part: str, result: dict) -> list[list[str]]:
 
 
 @pytest.mark.slow
-def test_fleet(tmp_path, script):
+def test_fleet(tmp_path, script, run):
     model = str(entries.save(tiny_controller.tiny(), tmp_path / "model"))
     small = ["--devices", "1", "3", "--batch", "4", "--rounds", "2", "--steps", "6", "--threads", "1"]
-    result = run("fleet.py", tmp_path, "--model", model, *small)
+    result = run("fleet", "--model", model, *small)
     # the stem on 16 x 32 patches of 96 channels, three blocks that halve the sides, a projection
     multiplied = 16 * 32 * 9 * 96 * 4
     for positions, before, after in ((8 * 16, 4, 4), (4 * 8, 4, 8), (2 * 4, 8, 8)):
@@ -164,9 +180,9 @@ def test_shares_of_the_floor(script):
 
 
 @pytest.mark.slow
-def test_collection(tmp_path, script):
+def test_collection(tmp_path, script, run):
     tiny.write(tmp_path, "recipes/data.yaml", tiny.shrink(tiny.load("recipes/data.yaml")))
-    result = run("collection.py", tmp_path, "--rounds", "1", "--bare-frames", "20")
+    result = run("collection", "--rounds", "1", "--bare-frames", "20")
     assert (result["trajectories"], result["frames"]) == (6 * 2, 6 * 2 * 61)
     assert result["of_which_start_seconds"]["median"] > 0
     assert result["frames_per_second"]["bare"]["min"] > 0
@@ -192,10 +208,10 @@ def test_least_collection(script):
 
 
 @pytest.mark.slow
-def test_quality(tmp_path, script):
+def test_quality(tmp_path, script, run):
     for name in ("jepa", "actor", "data", "evaluate"):
         tiny.write(tmp_path, f"recipes/{name}.yaml", tiny.shrink(tiny.load(f"recipes/{name}.yaml")))
-    result = run("quality.py", tmp_path, "--epochs", "1", "--threads", "1", "--recipes", "recipes")
+    result = run("quality", "--epochs", "1", "--threads", "1", "--recipes", "recipes")
     (trained,) = result["runs"]
     assert set(trained["seconds"]) == {"collect_and_fit", "fit_actor", "evaluate"}
     spent = trained["seconds"]["collect_and_fit"] + trained["seconds"]["fit_actor"]
@@ -215,8 +231,8 @@ def test_seconds_to_a_score_are_those_of_the_fastest_run_that_reaches_it(script)
 
 
 @pytest.mark.slow
-def test_network(tmp_path, script):
-    result = run("network.py", tmp_path, "--slots", "4", "--threads", "1")
+def test_network(tmp_path, script, run):
+    result = run("network", "--slots", "4", "--threads", "1")
     assert set(result["channel_aware_on_one_thread"]) == {"100", "1000", "10000", "100000"}
     assert all(rate["min"] > 0 for rate in result["device_slots_per_second"].values())
     text = (tmp_path / "out" / "result.txt").read_text()
@@ -226,9 +242,9 @@ def test_network(tmp_path, script):
 
 
 @pytest.mark.slow
-def test_radio(tmp_path, script):
+def test_radio(script, run):
     small = ["--devices", "2", "--slots", "2", "--rounds", "1", "--network-slots", "2", "--beside", str(tiny.ROOT)]
-    result = run("radio.py", tmp_path, *small)
+    result = run("radio", *small)
     assert result["network"]["ours_over_other"]["min"] > 0.05  # the same package twice, at a size that means nothing
     (row,) = result["fleet"]
     assert set(row["device_steps_per_second"]) == {"channel_aware", "expected_urgency", "urgency"}
@@ -236,11 +252,6 @@ def test_radio(tmp_path, script):
         "network alone, I = 1000, one thread",
         "fleet by urgency, all devices drawn and encoded, I = 2",
     ]
-
-
-def main_of(module, monkeypatch, *options: str) -> None:
-    monkeypatch.setattr("sys.argv", [module.__name__, *options])
-    module.main()
 
 
 @pytest.mark.slow
@@ -316,7 +327,7 @@ def test_peers(tmp_path, script):
     for name in ("recipes/jepa.yaml", "recipes/data.yaml"):
         tiny.write(tmp_path, name, tiny.shrink(tiny.load(name)))
     small = ["--rounds", "2", "--steps", "2", "--devices", "3", "--frames", "20", "--threads", "1"]
-    result = run("peers.py", tmp_path, *small, "--data.init_args.frames_per_batch", "16")
+    result = in_a_process("peers.py", tmp_path, *small, "--data.init_args.frames_per_batch", "16")
     assert result["training"]["ours_over_lightly"]["min"] > 0
     assert result["environment"]["fleet_over_swm"]["rounds"] == 2
     assert len(rows(script, "peers", result)) == 3

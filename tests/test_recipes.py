@@ -80,8 +80,9 @@ def run(tmp_path_factory):
             if trace := LOADED[name].get("radio", {}).get("trace"):
                 delays = ["--radio.delay", '{"shift": 5, "mean_excess": 10}']
                 assert cli.main(["trace", "simulate", trace, "--num_devices", "3", "--slots", "50", *delays]) == 0
-            # a fit collects its data set by itself, so a data recipe has to write elsewhere
-            options = ["--path", f"again/{name}"] if tiny.command_of(name)[0] == "collect" else []
+            # a fit collects its data set by itself, so a data recipe has to write elsewhere; short loops take less time
+            options_of = {"collect": ["--path", f"again/{name}"], "evaluate": ["--slots", "40"]}
+            options = options_of.get(tiny.command_of(name)[0], [])
             assert cli.main([*tiny.command_of(name), *options]) == 0
             done.add(name)
         return LOADED[name]

@@ -30,7 +30,7 @@ SIZES = {
     "periods": [1, 5, 0],
     "enable_progress_bar": False,
 }
-CALLBACK_STEPS = 10
+CALLBACK_STEPS = 4
 
 
 def shrink(value):

@@ -30,7 +30,7 @@ def seconds_to_load(name: str) -> float:
     return json.loads(done.stdout)
 
 
-if __name__ == "__main__":
+def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--entries", nargs="*", default=entries.names())
@@ -39,3 +39,7 @@ if __name__ == "__main__":
     rounds = [{name: seconds_to_load(name) for name in options.entries} for _ in range(options.rounds)]
     seconds = {name: spread([times[name] for times in rounds]) for name in options.entries}
     publish(options.output, {"limit_s": LIMIT_S, "seconds_to_load": seconds})
+
+
+if __name__ == "__main__":
+    main()

@@ -21,7 +21,7 @@ ENTRIES = {
 @pytest.mark.slow
 @pytest.mark.parametrize("name", entries.names())
 def test_an_entry_scores_within_its_cards_interval(name):
-    checks = rescore(tsjepa.load(name), name)
+    checks = rescore(tsjepa.load(name), name, seeds=1)
     assert all(check.passed for check in checks), "; ".join(map(str, checks))
 
 

@@ -22,6 +22,7 @@ NAME = "tsjepa-cartpole-d16"
 HOME = Path("runs/zoo", NAME)
 PATIENCE = 300.0  # seconds, of a busy machine
 EPOCHS = 40  # more than pass between a checkpoint that is seen and the signal
+LONG = {"max_epochs": EPOCHS, "check_val_every_n_epoch": EPOCHS}
 ENDS = {signal.SIGKILL: -signal.SIGKILL, signal.SIGTERM: 128 + signal.SIGTERM, signal.SIGINT: 130}
 
 
@@ -87,7 +88,7 @@ def free(folder: Path) -> bool:
 def home(tmp_path, monkeypatch):
     """The tiny recipes, with fits that last, as the working directory."""
     for name in tiny.NAMES:
-        tiny.write(tmp_path, name, tiny.replace(tiny.shrink(tiny.load(name)), {"max_epochs": EPOCHS}))
+        tiny.write(tmp_path, name, tiny.replace(tiny.shrink(tiny.load(name)), LONG))
     monkeypatch.chdir(tmp_path)
     return tmp_path
 

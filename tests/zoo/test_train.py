@@ -3,6 +3,8 @@
 import itertools
 import json
 import os
+import shlex
+import time
 from pathlib import Path
 
 import pytest
@@ -253,8 +255,17 @@ def test_an_entry_after_another_one_has_that_ones_fits_made_first(program):
         program(name=f"{NAME}-observer")
 
 
+def in_this_process(words: list[str]) -> float:
+    """Runs a command as :func:`tsjepa.zoo.child.run` does, whose process is tested in tests/zoo/test_child.py."""
+    began = time.monotonic()
+    print(f"tsjepa {shlex.join(words)}")
+    assert cli.main(words) == 0
+    return time.monotonic() - began
+
+
 @pytest.mark.slow
 def test_one_command_makes_an_entry_with_its_card(tmp_path, monkeypatch, capfd):
+    monkeypatch.setattr(train_module, "run", in_this_process)
     for name in tiny.NAMES:
         tiny.write(tmp_path, name, tiny.shrink(tiny.load(name)))
     monkeypatch.chdir(tmp_path)

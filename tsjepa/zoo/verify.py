@@ -105,8 +105,8 @@ def failures_allowed(row: dict, seeds: int) -> int:
     return int(hypergeom.ppf(0.95, row["starts"], row["failures"], run_again))
 
 
-def rescore(model: Controller, name: str) -> list[Check]:
-    """Closes the loops of ``model.metrics`` again on the first of their seeds; every start is one of the card's.
+def rescore(model: Controller, name: str, seeds: int = VERIFIED_SEEDS) -> list[Check]:
+    """Closes the loops of ``model.metrics`` again on the first ``seeds`` of theirs; every start is one of the card's.
 
     Raises:
         ValueError: the figures do not say how the model scored, or how that was measured.
@@ -122,21 +122,21 @@ def rescore(model: Controller, name: str) -> list[Check]:
     ):
         raise ValueError(f"The figures of {name} do not say how it scored: export it anew, with `tsjepa export`.")
     warn_of_another_renderer(plant.camera(), figures)
-    seeds = figures["seeds"][:VERIFIED_SEEDS]
+    chosen = figures["seeds"][:seeds]
     loop = held_out_loop(model, plant, blend=figures["blend"], codec=figures["codec"])
     perfect = perfect_feedback(loop, figures["optimal_policy"])
-    optimal = [run(perfect, seed).raw_score() for seed in seeds]
+    optimal = [run(perfect, seed).raw_score() for seed in chosen]
 
     def check(period: int, row: dict) -> Check:
-        runs = [run(every(loop, period), seed) for seed in seeds]
+        runs = [run(every(loop, period), seed) for seed in chosen]
         scores = [normalized_score(outcome.raw_score(), best) for outcome, best in zip(runs, optimal, strict=True)]
         return Check(
             update_every=period,
             score=fmean(scores),
-            expected=fmean(row["per_seed"][: len(seeds)]),
+            expected=fmean(row["per_seed"][: len(chosen)]),
             interval=row["interval_95"],
             failures=sum(int(outcome.failed().sum()) for outcome in runs),
-            failures_allowed=failures_allowed(row, len(seeds)),
+            failures_allowed=failures_allowed(row, len(chosen)),
         )
 
     return [check(period, row) for period, row in rows.items()]
