@@ -48,7 +48,7 @@ $(STAMP): pyproject.toml
 	fi
 	@echo "installing into $(VENV): a few minutes, about 2 GB (more where torch comes with CUDA)"
 	$(BIN)/python -m pip install --quiet $(PIP_FLAGS) --upgrade 'pip>=24' # older ones resolve for a quarter of an hour
-	$(BIN)/python -m pip install --quiet --no-compile $(PIP_FLAGS) -e '.[test]' # Python compiles what is imported
+	$(BIN)/python -m pip install --quiet $(PIP_FLAGS) -e '.[test]'
 	@touch $@
 
 train-jepa: setup ## collect the data, train TS-JEPA and the actor, close the loop, print the final table
@@ -94,12 +94,13 @@ test: setup ## run all tests, on every core, each on one thread
 	$(PYTEST) $(TESTS)
 
 test-fast: setup ## run the tests that take no longer than two seconds each
-	$(PYTEST) -m 'not slow' $(TESTS)
+	$(PYTEST) -m 'not slow and not benchmark' $(TESTS)
 
 faults: setup ## kill every command fifty times and record what survives (about ten minutes)
 	$(BIN)/python tests/faults/kills.py --kills 50
 
 bench: setup ## measure everything beside its peers and limits, on an otherwise idle machine, and print the table (about three quarters of an hour)
+	$(BIN)/python -m pytest -q -m benchmark tests/test_benchmarks.py
 	@failed=; for name in $(BENCHMARKS); do $(BIN)/python tests/benchmarks/$$name.py || failed="$$failed $$name"; done; \
 	$(PEERS_PYTHON) tests/benchmarks/peers.py || failed="$$failed peers"; \
 	$(BIN)/python tests/benchmarks/table.py; \

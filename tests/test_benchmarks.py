@@ -1,4 +1,4 @@
-"""The benchmarks run, at a size at which their figures mean nothing."""
+"""The benchmarks run, at a size at which their figures mean nothing; `make bench` begins with it."""
 
 import importlib.util
 import json
@@ -48,7 +48,7 @@ def run(tmp_path, script, monkeypatch):
     return measured
 
 
-@pytest.mark.slow
+@pytest.mark.benchmark
 def test_camera(run):
     result = run("camera", "--devices", "3", "--rounds", "2", "--frames", "20")
     assert result["devices"] == 3
@@ -59,7 +59,7 @@ def test_camera(run):
         assert 0 < ratio["min"] <= ratio["median"] <= ratio["max"]
 
 
-@pytest.mark.slow
+@pytest.mark.benchmark
 def test_training_step(tmp_path):
     for name in ("recipes/jepa.yaml", "recipes/data.yaml"):
         tiny.write(tmp_path, name, tiny.shrink(tiny.load(name)))
@@ -72,7 +72,7 @@ def test_training_step(tmp_path):
     assert 0 < result["peak_memory_gib"] < 6
 
 
-@pytest.mark.slow
+@pytest.mark.benchmark
 def test_commits(run):
     """This checkout beside itself."""
     result = run("commits", "--old", str(tiny.ROOT), "--only", "network", "--rounds", "1", "--threads", "1")
@@ -80,21 +80,21 @@ def test_commits(run):
     assert result["network"]["old"]["rounds"] == 1
 
 
-@pytest.mark.slow
+@pytest.mark.benchmark
 def test_memory(tmp_path):
     result = in_a_process("memory.py", tmp_path, "--devices", "50", "--slots", "600")
     assert result["episodes"] == 300
     assert result["growth_percent"] < 2
 
 
-@pytest.mark.slow
+@pytest.mark.benchmark
 def test_loading(run):
     result = run("loading", "--rounds", "1", "--entries", "tsjepa-cartpole")
     assert set(result["seconds_to_load"]) == {"tsjepa-cartpole"}
     assert result["seconds_to_load"]["tsjepa-cartpole"]["min"] > 0
 
 
-@pytest.mark.slow
+@pytest.mark.benchmark
 def test_latency(tmp_path, run):
     model = str(entries.save(tiny_controller.tiny(), tmp_path / "model"))
     result = run("latency", "--model", model, "--rounds", "3", "--devices", "1", "7")
@@ -110,7 +110,7 @@ def test_latency(tmp_path, run):
         assert all(row[name]["min"] > 0 for name in ("floor_milliseconds", "onnx_over_floor", "eager_over_onnx"))
 
 
-@pytest.mark.slow
+@pytest.mark.benchmark
 def test_experts(tmp_path, script, monkeypatch):
     small = ["--seeds", "2", "--starts", "3", "--entries", "1", "--output", str(tmp_path)]
     main_of(script("experts"), monkeypatch, *small)
@@ -124,7 +124,7 @@ def test_experts(tmp_path, script, monkeypatch):
     assert "| searched law | 1 |" in (tmp_path / "experts.md").read_text()
 
 
-@pytest.mark.slow
+@pytest.mark.benchmark
 def test_hierarchy(tmp_path, script, monkeypatch):
     small = ["--steps", "2", "--training_seeds", "2", "--seeds", "2", "--starts", "2", "--sizes", "2", "3"]
     small += ["--fleet_seeds", "1", "--episodes", "2", "1", "--work", str(tmp_path / "work"), "--output", str(tmp_path)]
@@ -147,7 +147,7 @@ def rows(script, part: str, result: dict) -> list[list[str]]:
     return [row.cells() for row in script("table").PARTS[part](result)]
 
 
-@pytest.mark.slow
+@pytest.mark.benchmark
 def test_fleet(tmp_path, script, run):
     model = str(entries.save(tiny_controller.tiny(), tmp_path / "model"))
     small = ["--devices", "1", "3", "--batch", "4", "--rounds", "2", "--steps", "6", "--threads", "1"]
@@ -179,7 +179,7 @@ def test_shares_of_the_floor(script):
     assert fleet.ratios([6.0, 1.0], [2.0, 4.0]) == [3.0, 0.25]
 
 
-@pytest.mark.slow
+@pytest.mark.benchmark
 def test_collection(tmp_path, script, run):
     tiny.write(tmp_path, "recipes/data.yaml", tiny.shrink(tiny.load("recipes/data.yaml")))
     result = run("collection", "--rounds", "1", "--bare-frames", "20")
@@ -207,7 +207,7 @@ def test_least_collection(script):
     assert collection.least(recipe)["splits"]["train"] == {"episodes": 1, "coverage": False}
 
 
-@pytest.mark.slow
+@pytest.mark.benchmark
 def test_quality(tmp_path, script, run):
     for name in ("jepa", "actor", "data", "evaluate"):
         tiny.write(tmp_path, f"recipes/{name}.yaml", tiny.shrink(tiny.load(f"recipes/{name}.yaml")))
@@ -230,7 +230,7 @@ def test_seconds_to_a_score_are_those_of_the_fastest_run_that_reaches_it(script)
     assert quality.seconds_to(0.9, []) is None
 
 
-@pytest.mark.slow
+@pytest.mark.benchmark
 def test_network(tmp_path, script, run):
     result = run("network", "--slots", "4", "--threads", "1")
     assert set(result["channel_aware_on_one_thread"]) == {"100", "1000", "10000", "100000"}
@@ -241,7 +241,7 @@ def test_network(tmp_path, script, run):
     assert len(rows(script, "network", result)) >= 6
 
 
-@pytest.mark.slow
+@pytest.mark.benchmark
 def test_radio(script, run):
     small = ["--devices", "2", "--slots", "2", "--rounds", "1", "--network-slots", "2", "--beside", str(tiny.ROOT)]
     result = run("radio", *small)
@@ -254,7 +254,7 @@ def test_radio(script, run):
     ]
 
 
-@pytest.mark.slow
+@pytest.mark.benchmark
 def test_calibration(tmp_path, script, monkeypatch):
     calibration = script("calibration")
     sizes = {"NETWORKS": 3, "DEVICES": 6, "BLOCKS": 2, "WARM_UP": 2, "SLOTS": 20, "KNOWLEDGE": ("perfect", "acks")}
@@ -276,7 +276,7 @@ def test_calibration(tmp_path, script, monkeypatch):
     assert all(line.count("|") == 10 for line in lines if line.startswith("|"))
 
 
-@pytest.mark.slow
+@pytest.mark.benchmark
 def test_downlink(tmp_path, script, monkeypatch):
     downlink = script("downlink")
     for name, value in {"SILENT": (0, 2), "LOSSES": (0.3,), "BUFFERS": {"hold": 1, "buffer of 4": 4}}.items():
@@ -303,7 +303,7 @@ def test_peers_that_are_not_installed_are_left_out_with_the_reason(script):
     assert script("peers").missing("torch") is None
 
 
-@pytest.mark.slow
+@pytest.mark.benchmark
 def test_a_trainer_takes_turns(tmp_path, script, monkeypatch):
     for name in ("recipes/jepa.yaml", "recipes/data.yaml"):
         tiny.write(tmp_path, name, tiny.shrink(tiny.load(name)))
@@ -322,6 +322,7 @@ def test_a_contender_that_dies_is_named(script):
         script("turns").Contender(operator.truediv, 1, 0)
 
 
+@pytest.mark.benchmark
 @pytest.mark.skipif(importlib.util.find_spec("lightly") is None, reason="the extra bench is not installed")
 def test_peers(tmp_path, script):
     for name in ("recipes/jepa.yaml", "recipes/data.yaml"):
