@@ -104,7 +104,7 @@ def seconds_a_step(encoder: nn.Module, choices: list[Precision], device: torch.d
             patches = patches[: len(patches) // 2]
         for choice in choices[1:]:
             step(choice)
-        seconds = {choice: [] for choice in choices}
+        seconds: dict[Precision, list[float]] = {choice: [] for choice in choices}
         for turn in range(MOST_TURNS):
             if turn >= LEAST_TURNS and sum(map(sum, seconds.values())) > BUDGET_S:
                 break
