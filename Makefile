@@ -48,7 +48,8 @@ $(STAMP): pyproject.toml
 	fi
 	@echo "installing into $(VENV): a few minutes, about 2 GB (more where torch comes with CUDA)"
 	$(BIN)/python -m pip install --quiet $(PIP_FLAGS) --upgrade 'pip>=24' # older ones resolve for a quarter of an hour
-	$(BIN)/python -m pip install --quiet $(PIP_FLAGS) -e '.[test]'
+	$(BIN)/python -m pip install --quiet --no-compile $(PIP_FLAGS) -e '.[test]'
+	@$(BIN)/python -m compileall -q -j 0 $(VENV)/lib >/dev/null || true # by all cores, where pip takes one; some files are templates
 	@touch $@
 
 train-jepa: setup ## collect the data, train TS-JEPA and the actor, close the loop, print the final table

@@ -81,8 +81,9 @@ def run(tmp_path_factory):
                 delays = ["--radio.delay", '{"shift": 5, "mean_excess": 10}']
                 assert cli.main(["trace", "simulate", trace, "--num_devices", "3", "--slots", "50", *delays]) == 0
             # a fit collects its data set by itself, so a data recipe has to write elsewhere; short loops take less time
-            shorter = [] if "slots" in LOADED[name] else ["--slots", "40"]
-            options_of = {"collect": ["--path", f"again/{name}"], "evaluate": shorter}
+            loop = ["--slots", "60" if "slots" in LOADED[name] else "40"]  # a set-point changes after 50
+            fleet = [] if "search_over" in LOADED[name] else ["--slots", "60"]
+            options_of = {"collect": ["--path", f"again/{name}"], "evaluate": loop, "simulate": fleet}
             options = options_of.get(tiny.command_of(name)[0], [])
             assert cli.main([*tiny.command_of(name), *options]) == 0
             done.add(name)

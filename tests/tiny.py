@@ -26,7 +26,7 @@ SIZES = {
     "starts_per_seed": 6,
     "num_devices": 6,
     "resource_blocks": 3,
-    "search_over": [3, 6],
+    "search_over": [2, 4],
     "periods": [1, 5, 0],
     "enable_progress_bar": False,
 }

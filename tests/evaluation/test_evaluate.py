@@ -17,7 +17,7 @@ from tsjepa.plants import CartPole, build_plant
 
 pytestmark = pytest.mark.slow  # every test starts a process, trains or closes loops
 
-SMALL = {"periods": (1, 5, 0), "seeds": 2, "starts_per_seed": 6, "slots": 80}
+SMALL = {"periods": (1, 5, 0), "seeds": 2, "starts_per_seed": 6, "slots": 50}
 
 
 @pytest.fixture(scope="module")
@@ -49,16 +49,16 @@ def test_every_controller_has_a_row_with_its_score_and_its_bits(evaluation):
     assert perfect["command_nmae"] == 0
     assert perfect["failures"] == 0
     assert rows["expert, zero", "once"]["normalized_score"] < 0.5 < perfect["normalized_score"]
-    assert all(len(row["score_by_slot"]) == 80 for row in rows.values())
+    assert all(len(row["score_by_slot"]) == 50 for row in rows.values())
     assert rows["TS-JEPA", 5]["bits_per_step"] == pytest.approx(32 * tiny_controller.DIM / 5)
     assert rows["expert, zero", 5]["bits_per_step"] == pytest.approx(4 * 32 / 5)
     # nothing disturbs these plants
     planned = rows["expert, plan sent once", "once"]["normalized_score"]
     assert planned == pytest.approx(perfect["normalized_score"], abs=0.02)
-    assert len(result["optimal_score_by_slot"]) == 80
+    assert len(result["optimal_score_by_slot"]) == 50
     once = rows["TS-JEPA", "once"]
-    assert len(once[ERRORS]) == 80
-    assert 0 <= once[FIRST_LOST] < 80
+    assert len(once[ERRORS]) == 50
+    assert 0 <= once[FIRST_LOST] < 50
     assert FIRST_LOST not in rows["TS-JEPA", 5]
     assert {path.name for path in folder.iterdir()} == {"evaluation.json", "score.png", "horizon.png"}
 
@@ -66,7 +66,7 @@ def test_every_controller_has_a_row_with_its_score_and_its_bits(evaluation):
 def test_a_result_says_all_that_it_depends_on(evaluation, model):
     result, folder = evaluation
     assert json.loads((folder / "evaluation.json").read_text()) == json.loads(json.dumps(result))
-    assert (result["seeds"], result["starts_per_seed"], result["slots"]) == ([0, 1], 6, 80)
+    assert (result["seeds"], result["starts_per_seed"], result["slots"]) == ([0, 1], 6, 50)
     assert (result["frame_history"], result["codec"], result["blend"]) == (2, "fp32", 1.0)
     assert result["model_sha256"] == entries.fingerprint(model)
     assert result["optimal_policy"] == CartPole.normaliser
@@ -144,7 +144,7 @@ def test_the_same_evaluation_gives_the_same_figures_and_a_film(model, tmp_path):
     again = evaluate(model, output=str(tmp_path / "again"), **small, video=False)
     assert first["closed_loop"] == again["closed_loop"]
     capture = cv2.VideoCapture(str(tmp_path / "first" / "loop.mp4"))
-    assert capture.get(cv2.CAP_PROP_FRAME_COUNT) == 80
+    assert capture.get(cv2.CAP_PROP_FRAME_COUNT) == 50
     assert capture.read()[1].shape == (3 * 64 + 12, 4 * 3 * 128, 3)
     assert cv2.imread(str(tmp_path / "first" / "inside.png")).shape == (5 * (3 * 64 + 12), 4 * 3 * 128, 3)
 

@@ -14,7 +14,7 @@ from tsjepa.paper.rows import loop_of, optimal_of
 pytestmark = pytest.mark.slow  # closes loops
 
 RESULTS = Path(__file__).parents[2] / "docs" / "results"
-SIZES = {"seeds": 2, "starts": 6, "slots": 100, "process_noise_std": 0.0}
+SIZES = {"seeds": 2, "starts": 6, "slots": 60, "process_noise_std": 0.0}
 PLAIN = {"condition": "plain", "appearance": {}}
 
 

@@ -4,7 +4,7 @@ import pytest
 
 import tsjepa
 from tsjepa.models import entries
-from tsjepa.zoo.verify import rescore
+from tsjepa.zoo import verify
 
 LARGEST_ZOO = 60e6  # bytes
 ENTRIES = {
@@ -20,9 +20,11 @@ ENTRIES = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", entries.names())
-def test_an_entry_scores_within_its_cards_interval(name):
-    checks = rescore(tsjepa.load(name), name, seeds=1)
-    assert all(check.passed for check in checks), "; ".join(map(str, checks))
+def test_an_entry_scores_within_its_cards_interval(name, monkeypatch):
+    monkeypatch.setattr(verify, "VERIFIED_SEEDS", 1)
+    monkeypatch.setattr(verify, "VERIFIED_PERIODS", (5,))  # which needs encoder, predictor and actor
+    checks = verify.rescore(tsjepa.load(name), name)
+    assert checks and all(check.passed for check in checks), "; ".join(map(str, checks))
 
 
 def test_the_zoo_is_whole():

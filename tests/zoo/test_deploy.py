@@ -61,7 +61,6 @@ MODELS = {
     "tiny with an observer": lambda: untrained(observed(tiny_controller.tiny())),
     "tiny autoencoder": lambda: untrained(tiny_controller.tiny_autoencoder()),
     "shipped": lambda: with_ranges(entries.load(SHIPPED)),
-    "differences": lambda: with_ranges(entries.load("tsjepa-cartpole-d16")),
     "differences of convolved frames": lambda: with_ranges(entries.load("tsjepa-cartpole-appearance")),
 }
 CASES = [

@@ -105,8 +105,8 @@ def failures_allowed(row: dict, seeds: int) -> int:
     return int(hypergeom.ppf(0.95, row["starts"], row["failures"], run_again))
 
 
-def rescore(model: Controller, name: str, seeds: int = VERIFIED_SEEDS) -> list[Check]:
-    """Closes the loops of ``model.metrics`` again on the first ``seeds`` of theirs; every start is one of the card's.
+def rescore(model: Controller, name: str) -> list[Check]:
+    """Closes the loops of ``model.metrics`` again on the first of their seeds; every start is one of the card's.
 
     Raises:
         ValueError: the figures do not say how the model scored, or how that was measured.
@@ -122,7 +122,7 @@ def rescore(model: Controller, name: str, seeds: int = VERIFIED_SEEDS) -> list[C
     ):
         raise ValueError(f"The figures of {name} do not say how it scored: export it anew, with `tsjepa export`.")
     warn_of_another_renderer(plant.camera(), figures)
-    chosen = figures["seeds"][:seeds]
+    chosen = figures["seeds"][:VERIFIED_SEEDS]
     loop = held_out_loop(model, plant, blend=figures["blend"], codec=figures["codec"])
     perfect = perfect_feedback(loop, figures["optimal_policy"])
     optimal = [run(perfect, seed).raw_score() for seed in chosen]
