@@ -11,7 +11,7 @@ from itertools import pairwise
 import pytest
 
 from tsjepa import cli
-from tsjepa.cli import doctor
+from tsjepa.cli import command_line, doctor
 from tsjepa.cli.afterwards import STEPS, next_step
 from tsjepa.cli.errors import explain
 from tsjepa.data import storage
@@ -30,6 +30,14 @@ def run(capsys, *arguments: str) -> tuple[int, str, str]:
     except SystemExit as exit_:
         status = exit_.code
     return status, *capsys.readouterr()
+
+
+def test_ctrl_c_ends_a_command_with_the_status_of_a_shell_and_without_a_traceback(capsys, monkeypatch):
+    def stopped(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(command_line, "_answer", stopped)
+    assert run(capsys, "zoo") == (130, "", "")
 
 
 def test_help_lists_every_command_without_importing_anything_heavy():
