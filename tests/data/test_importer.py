@@ -161,7 +161,7 @@ def test_a_wrong_claimed_rate_is_said_and_the_measured_one_taken(tmp_path):
     (path / "meta/info.json").write_text(json.dumps({**info, "fps": 50}))
     metadata, report, _ = run(path, tmp_path / "set")
     assert metadata["spec"]["slot"] == pytest.approx(0.05)
-    assert "The metadata claim 50 pictures a second; 20 are measured." in report["notes"]
+    assert "50 pictures a second are claimed; 20 are measured." in report["notes"]
 
 
 def test_columns_in_another_order_are_put_in_order(tmp_path):

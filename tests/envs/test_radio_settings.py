@@ -3,15 +3,19 @@
 import math
 
 import pytest
+import tiny_controller
 import torch
+from tensordict import TensorDict
 
 from tsjepa.envs import Radio, make_env, make_policy
 from tsjepa.envs.settings import Downlink
-from tsjepa.envs.transforms import Acknowledge, Actuator, Delay, Energy, TraceChannel
+from tsjepa.envs.transforms import Acknowledge, Actuator, Delay, Energy, TraceChannel, Uplink
 from tsjepa.plants import CartPole
+from tsjepa.radio import SCHEDULERS
 from tsjepa.radio.delay import ConstantDelay, GammaDelay, UniformDelay
 from tsjepa.radio.energy import EnergyModel
 from tsjepa.radio.links import McsLink, ShannonLink
+from tsjepa.radio.loss import IidLoss
 from tsjepa.radio.posterior import fading_correlation
 from tsjepa.support.recipes import parse_arguments
 
@@ -78,9 +82,81 @@ def test_a_buffer_covers_lost_commands_that_a_holding_actuator_feels():
 
 def test_holding_controllers_work_behind_a_downlink_and_have_no_buffer():
     data = rollout(Radio(resource_blocks=2, downlink=Downlink(loss=0.5)), "hold")
-    assert torch.equal(data["next", "held_command"], data["next", "applied_command"])
+    sent, applied = data["next", "held_command"], data["next", "applied_command"]
+    heard = (sent == applied).squeeze(-1)
+    assert torch.equal(applied[:, 1:][~heard[:, 1:]], applied[:, :-1][~heard[:, 1:]])
+    assert 0.5 < heard.double().mean() < 0.95  # a command that is held is sent again
     with pytest.raises(ValueError, match="buffer of 3 commands needs a controller that predicts"):
         make_policy(PLANT, "hold", Radio(downlink=Downlink(buffer=3)))
+
+
+@pytest.mark.parametrize("acknowledged", [True, False])
+def test_a_held_command_is_the_last_one_that_was_sent_however_long_it_travels(acknowledged):
+    delayed = Downlink(delay=ConstantDelay(2), acknowledged=acknowledged)
+    data = rollout(Radio(resource_blocks=1, lossless=True, downlink=delayed), "hold")
+    sent, applied = data["next", "held_command"], data["next", "applied_command"]
+    assert torch.equal(applied[:, 2:], sent[:, :-2]) and (applied[:, :2] == 0).all()
+    again = ~data["delivered"]
+    assert torch.equal(sent[:, 1:][again[:, 1:]], sent[:, :-1][again[:, 1:]])
+
+
+def test_a_packet_that_its_repetition_saves_fits_into_what_was_granted():
+    """The scheduler asks for the units of the threshold; the first attempt alone would need more."""
+    radio = Radio(harq_ms=8.0, resource_blocks=None, payload_bits=8192, csi="statistical")
+    threshold = 10 ** (radio.snr_threshold_db / 10)
+    snr = torch.tensor([0.3, 0.7, 1.2]) * threshold
+    again = torch.tensor([0.6, 0.7, 0.0]) * threshold
+    current = TensorDict(
+        {
+            "scheduled": torch.ones(3, dtype=torch.bool),
+            "snr": snr,
+            "repeated_snr": again,
+            "payload_bits": torch.full((3,), 8192),
+            "resource_units": radio.demand(torch.tensor(8192), torch.tensor(threshold)).expand(3),
+        },
+        batch_size=[3],
+    )
+    uplink = Uplink(radio.snr_threshold_db, in_key=None, demand=radio.demand, repeats=True)
+    values = uplink._slot({"age_of_information": torch.ones(3, dtype=torch.int64)}, current, None)
+    assert values["delivered"].tolist() == [False, True, True]
+    assert values["transmissions"].tolist() == [2, 2, 1]
+
+
+def test_a_built_in_scheduler_is_the_same_as_a_function_and_by_its_name():
+    def sent(scheduler, seed):
+        env = make_env(CartPole(process_noise_std=0.01), 4, scheduler, Radio(resource_blocks=1), "linear", seed=seed)
+        data = env.rollout(20, make_policy(PLANT, "linear"), break_when_any_done=False)
+        return torch.stack((data["scheduled"], data["delivered"]))
+
+    for name in ("oracle", "random", "channel_aware_cost"):
+        assert torch.equal(sent(SCHEDULERS[name], 1), sent(name, 1))
+    assert sent(SCHEDULERS["oracle"], 0).all()
+    assert not torch.equal(sent(SCHEDULERS["random"], 0), sent(SCHEDULERS["random"], 1))
+
+
+@pytest.mark.parametrize("scheduler", ["round_robin", "urgency"])
+def test_devices_that_watch_all_the_time_spend_the_energy_of_every_picture(scheduler):
+    model = tiny_controller.tiny()
+    radio = Radio(resource_blocks=1, energy=EnergyModel(encode_j=1.0, airtime_s=1e-9))
+    data = make_env(PLANT, 3, scheduler, radio, model).rollout(5, make_policy(PLANT, model))
+    spent = torch.ones_like(data["energy_j"]) if scheduler == "urgency" else data["scheduled"].float()
+    torch.testing.assert_close(data["energy_j"], spent)
+
+
+def test_a_stream_of_frames_wants_every_device_in_every_slot_and_starts_anew_with_an_episode(tmp_path):
+    model = tiny_controller.tiny()
+
+    def env(blocks):
+        return make_env(
+            PLANT, 2, "round_robin", Radio(resource_blocks=blocks, lossless=True, codec="stream-raw"), model
+        )
+
+    with pytest.raises(ValueError, match="every device has to send in every slot"):
+        env(1).reset()
+    whole = env(2)
+    for _ in range(2):
+        now = whole.reset()
+        assert torch.equal(now["received"], now["pixels"])
 
 
 def test_grants_of_an_mcs_and_room_for_its_repetition():
@@ -141,6 +217,9 @@ def test_an_option_that_no_part_has_is_refused(tmp_path, capsys):
         ({"harq_ms": 0.0}, "harq_ms 0"),
         ({"delay": "trace"}, "delay 'trace'"),
         ({"trace": "a.csv", "interference_rise_db": 1.0}, "A trace is played as it is"),
+        ({"trace": "a.csv", "loss": IidLoss(0.5)}, "leave lossless, loss, harq_ms"),
+        ({"lossless": True, "resource_blocks": None}, "give resource_blocks, or leave lossless out"),
+        ({"link": McsLink(4), "payload_bits": (128, 512)}, "an MCS takes one number of bits"),
         ({"ack_loss": 1.5}, "ack_loss"),
         ({"interference_rise_db": -1.0}, "interference_rise_db"),
         *(({"bandwidth_mhz": value}, f"bandwidth_mhz is {value}") for value in (-100.0, 0.0, math.nan, math.inf)),

@@ -13,6 +13,7 @@ from tsjepa.envs.settings import Downlink, Requests
 from tsjepa.evaluation.fleet_summary import summary
 from tsjepa.evaluation.rollouts import Loop, run
 from tsjepa.plants import CartPole, Mixed, Pendulum, Reacher
+from tsjepa.radio import grant
 from tsjepa.radio.cost import age_cost_table
 
 NOISY = OpenPlant(process_noise_std=0.02)
@@ -110,7 +111,7 @@ def test_a_function_of_the_users_own_is_told_the_urgency_where_requests_are_set(
 
     def scheduler(known):
         told.append(known.urgency)
-        return known.candidate, known.memory
+        return grant(known.age, known.candidate, known.demand, known.budget), known.memory
 
     run(replace(LOOP, scheduler=scheduler, slots=2), 0)
     run(replace(LOOP, scheduler=scheduler, slots=2, radio=replace(LOOP.radio, requests=Requests())), 0)

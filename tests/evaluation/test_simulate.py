@@ -2,6 +2,7 @@
 
 import csv
 import json
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -13,13 +14,14 @@ from open_plant import OpenPlant
 
 from tsjepa import cli
 from tsjepa.envs import Radio
+from tsjepa.evaluation import rollouts
 from tsjepa.evaluation import simulate as simulation
 from tsjepa.evaluation.fleet_film import BORDER, DELIVERED, FAILED, GOOD, LOST, SILENT, grid_columns, tile, tile_size
 from tsjepa.evaluation.fleet_pictures import age_plot, capacity_plot
 from tsjepa.evaluation.rollouts import Loop, run
 from tsjepa.models import entries
 from tsjepa.plants import CartPole
-from tsjepa.radio import SCHEDULERS
+from tsjepa.radio import SCHEDULERS, periodic
 from tsjepa.support import provenance
 
 RECIPES = Path(__file__).parents[2] / "recipes"
@@ -101,6 +103,40 @@ def test_a_scheduler_of_the_users_own_is_named_by_its_function(tmp_path):
     (row,) = simulation.simulate(6, [nobody], "hold", Radio(resource_blocks=2), **options)["fleet"]["schedulers"]
     assert row["scheduler"] == "nobody"
     assert row["bits_per_device_and_slot"] == 0
+    twice = [SCHEDULERS["max_age"], "max_age"]
+    with pytest.raises(ValueError, match="max_age, max_age two have one name"):
+        simulation.simulate(6, twice, "hold", Radio(resource_blocks=2), **options)
+
+
+@pytest.mark.slow
+def test_schedulers_that_are_made_of_others_have_rows_and_searches_of_their_own(tmp_path):
+    made = [periodic(2), periodic(3), partial(SCHEDULERS["channel_aware"], age_weight=2.0)]
+    options = {"plant": PLANT, "slots": 90, "seeds": 2, "output": str(tmp_path), "video": False}
+    result = simulation.simulate(6, made, "hold", Radio(resource_blocks=2), search_over=[5, 6], **options)
+    names = ["periodic(2)", "periodic(3)", "channel_aware(age_weight=2.0)"]
+    assert [row["scheduler"] for row in result["fleet"]["schedulers"]] == names
+    assert {row["scheduler"] for row in result["search"]["largest"]} == set(names)
+
+
+@pytest.mark.slow
+def test_the_normalisers_plants_start_as_those_of_a_model_with_a_longer_stack(tmp_path, monkeypatch):
+    entry = entries.save(tiny_controller.tiny_supervised(frame_stack=4), tmp_path / "model")
+    started = {}
+
+    def noted(loop, seed):
+        started.setdefault(loop.controller if isinstance(loop.controller, str) else "model", []).append(
+            loop.env(seed).reset()["physics_state"]
+        )
+        return rollouts_run(loop, seed)
+
+    rollouts_run = rollouts.run
+    monkeypatch.setattr(rollouts, "run", noted)
+    monkeypatch.setattr(simulation, "run", noted)
+    options = {"slots": 90, "seeds": 2, "output": str(tmp_path / "out"), "video": False}
+    fleet = (Radio(resource_blocks=3), PLANT)
+    simulation.simulate(None, ["round_robin"], str(entry), *fleet, search_over=[5, 6], **options)
+    (expert, model) = started.values()
+    assert torch.equal(expert[0][:5], model[0][:5])
 
 
 @pytest.mark.parametrize(

@@ -1,10 +1,19 @@
 """Properties of the schedulers over 100,000 random cases, and their ages against theory."""
 
+from functools import partial
+
 import pytest
 import torch
 
 from tsjepa.radio import SCHEDULERS, Known, gated, grant, periodic, simulate_ages
-from tsjepa.radio.schedulers import channel_aware, channel_aware_literal, get_scheduler, max_age
+from tsjepa.radio.schedulers import (
+    channel_aware,
+    channel_aware_literal,
+    checked,
+    get_scheduler,
+    max_age,
+    name_of,
+)
 
 CASES, DEVICES = 100_000, 8
 NEEDS = ("urgency", "expected_gain", "true_error", "age_cost")
@@ -224,3 +233,57 @@ def test_bad_input_is_rejected():
 def test_a_scheduler_of_version_0_1_is_told_the_mend():
     with pytest.raises(ValueError, match="takes one argument, known"):
         get_scheduler(lambda age, channel, demand, budget, memory: (channel.candidate, memory))
+
+
+def own(answer):
+    """A scheduler of a user's that gives this for every slot."""
+
+    def mine(known):
+        return answer(known)
+
+    return mine
+
+
+@pytest.mark.parametrize(
+    ("answer", "said"),
+    [
+        (lambda known: (known.candidate, known.memory), "mine granted up to 3 units beyond the budget"),
+        (lambda known: known.candidate, "mine must return a pair of tensors"),
+        (lambda known: (known.snr, known.memory), r"mine returned a schedule \[1, 5\] of torch.float32"),
+        (lambda known: (known.candidate[:, :2], known.memory), r"mine returned a schedule \[1, 2\] of torch.bool"),
+    ],
+)
+def test_an_answer_of_a_users_scheduler_that_cannot_be_is_refused_in_its_slot(answer, said):
+    with pytest.raises(ValueError, match=said):
+        simulate_ages(own(answer), num_devices=5, resource_blocks=2, slots=3)
+
+
+def test_units_beyond_the_budget_are_counted_where_devices_need_several():
+    known = alike(1, 3, budget=5)._replace(demand=torch.tensor([[2, 2, 2]]))
+    both = torch.tensor([[True, True, False]])
+    assert checked(own(lambda known: (both, known.memory)))(known)[0] is both
+    with pytest.raises(ValueError, match="1 units beyond the budget"):
+        checked(own(lambda known: (torch.ones_like(both), known.memory)))(known)
+    with pytest.raises(ValueError, match="no candidate"):
+        absent = known._replace(candidate=torch.tensor([[True, False, True]]))
+        checked(own(lambda known: (both, known.memory)))(absent)
+
+
+def test_what_ignores_the_budget_on_purpose_is_not_checked():
+    for scheduler in (SCHEDULERS["oracle"], periodic(2), gated(SCHEDULERS["oracle"])):
+        assert checked(scheduler) is scheduler
+
+
+def test_names_of_functions_tell_their_arguments():
+    assert name_of(periodic(5)) == "periodic(5)" and name_of("max_age") == "max_age"
+    assert name_of(gated(SCHEDULERS["max_age"])) == "gated(max_age)"
+    assert name_of(partial(channel_aware, age_weight=2.0)) == "channel_aware(age_weight=2.0)"
+
+
+@pytest.mark.parametrize("demand", [None, torch.ones(5, dtype=torch.int64)])
+def test_a_score_that_is_not_a_number_is_never_granted(demand):
+    everyone = torch.ones(5, dtype=torch.bool)
+    score = torch.tensor([torch.nan, 0.0, torch.nan, 2.0, 1.0])
+    assert grant(score, everyone, demand, 2).tolist() == [False, False, False, True, True]
+    assert grant(score, everyone, demand, 4).tolist() == [False, True, False, True, True]
+    assert grant(score, everyone, demand, 5).tolist() == [False, True, False, True, True]

@@ -145,7 +145,7 @@ def _rate_notes(recording: Recording, ready: list, intervals: np.ndarray) -> lis
     notes, typical = [], float(np.median(intervals))
     claimed = recording.rate_hz
     if claimed and abs(typical * claimed - 1) > CLAIMED_RATE:
-        notes.append(f"The metadata claim {claimed:g} pictures a second; {1 / typical:.4g} are measured.")
+        notes.append(f"{claimed:g} pictures a second are claimed; {1 / typical:.4g} are measured.")
     other = [episode.name for (episode, _), interval in zip(ready, intervals, strict=True)
              if abs(interval / typical - 1) > SAME_RATE]  # fmt: skip
     if other:

@@ -54,10 +54,12 @@ def import_recording(
         size: height and width of the stored pictures, or null for the recording's own.
         slot: seconds to resample to; the recording's own interval when null.
         slots: T; a trajectory has T commands and T + 1 pictures.
-        validation, test: shares of the episodes that are held out.
+        validation: share of the episodes that is held out for validation.
+        test: share of the episodes that is held out for tests.
         camera: image stream to take.
-        action, state, time: columns, keys or topics of commands, state and times, where their names do not say it;
-            several with commas between them.
+        action: columns, keys or topics of the commands, where their names do not say it; several with commas between.
+        state: the same of the state.
+        time: column or key of the rows' times.
         rate_hz: pictures a second, where neither pictures nor rows have times.
         offset: seconds by which the clock of the rows is ahead of that of the pictures; found when auto.
         strict: refuse the recording if anything of it cannot be used.

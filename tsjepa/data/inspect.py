@@ -36,7 +36,12 @@ def inspect_recording(
 
     Args:
         path: file or folder.
-        camera, action, state, time, rate_hz, reader: as for ``tsjepa import``.
+        camera: image stream to take.
+        action: columns, keys or topics of the commands, where their names do not say it; several with commas between.
+        state: the same of the state.
+        time: column or key of the rows' times.
+        rate_hz: pictures a second, where neither pictures nor rows have times.
+        reader: class path of a reader of your own.
 
     Returns:
         What was printed, as plain values.
@@ -55,6 +60,11 @@ def inspect_recording(
     plan = plan_import(recording)
     first = plan.parts[0].episode
     longest = max(len(part.piece.frame) for part in plan.parts)
+    if longest < 2:
+        raise ValueError(
+            f"No two pictures of {path} follow each other by their times, so that nothing can be imported; if the "
+            "times of its rows are milliseconds, call their column time_ms."
+        )
     words = ["tsjepa", "import", path, f"data/{Path(path).resolve().name}"]
     words += ["--slots", str(min(100, longest - 1))] if longest <= 100 else []
     words += ["--camera", camera or recording.camera] if camera or len(recording.cameras) > 1 else []
@@ -114,14 +124,14 @@ class Looked:
         """Episodes as the recording gives them, until the time is up."""
         end = time.monotonic() + LOOK_S
         for item in all_of(self.recording):
-            yield item
-            if isinstance(item, Episode):
-                self.seen.append(item)
             if self.seen and time.monotonic() > end:
                 self.cut_short.append(
                     f"Only the first {len(self.seen)} episodes were opened, to be quick; an import reads them all."
                 )
                 return
+            yield item
+            if isinstance(item, Episode):
+                self.seen.append(item)
 
 
 def _episode(episode: Episode, plan: Plan) -> dict:

@@ -21,11 +21,19 @@ from tsjepa.envs.need import watched
 from tsjepa.envs.payload import sends_frames
 from tsjepa.envs.radio_end import actuator, radio_end
 from tsjepa.envs.settings import Radio
-from tsjepa.envs.transforms import Estimator, HierarchicalEstimator, HoldCommand, linear_model
+from tsjepa.envs.transforms import (
+    Camera,
+    Energy,
+    Estimator,
+    HierarchicalEstimator,
+    HoldCommand,
+    Scheduler,
+    linear_model,
+)
 from tsjepa.envs.weights import at_weights
 from tsjepa.models import Controller, HierarchicalPredictor
 from tsjepa.plants.plant import Plant
-from tsjepa.radio.schedulers import SchedulerFunction
+from tsjepa.radio.schedulers import SCHEDULERS, SchedulerFunction
 
 HOLD, ZERO, LINEAR, EXACT = "hold", "zero", "linear", "exact"
 ON_STATE = {
@@ -75,6 +83,8 @@ def make_env(
     Raises:
         ValueError: an argument that does not fit the others.
     """
+    # a built-in scheduler may be given as the function: what is put around it goes by its name
+    scheduler = next((name for name, function in SCHEDULERS.items() if function is scheduler), scheduler)
     model = controller if isinstance(controller, Controller) else None
     if model is not None:
         check_fit(model, plant)
@@ -84,10 +94,14 @@ def make_env(
     believes = far_end(controller, plant, radio, blend, between)
     chain = [
         *radio_end(plant, num_devices, scheduler, radio, model, seed),
-        *actuator(plant, radio, torch.tensor(plant.spec.rest), isinstance(believes, HoldCommand), seed),
+        *actuator(plant, radio, torch.tensor(plant.spec.rest), seed),
         believes,
     ]
-    return TransformedEnv(fleet, Compose(*watched(chain, scheduler, radio, plant, controller, num_devices)))
+    parts = watched(chain, scheduler, radio, plant, controller, num_devices)
+    kinds = [type(part) for part in parts]
+    if Energy in kinds and Camera in kinds:
+        parts[kinds.index(Energy)].watches = kinds.index(Camera) < kinds.index(Scheduler)
+    return TransformedEnv(fleet, Compose(*parts))
 
 
 def check_fit(model: Controller, plant: Plant) -> None:

@@ -163,11 +163,10 @@ def after_uplink(plant: Plant, num_devices: int, radio: Radio, seed: int) -> lis
     return chain
 
 
-def actuator(plant: Plant, radio: Radio, rest: torch.Tensor, tells: bool, seed: int) -> list[nn.Module]:
-    """The downlink and the actuator's buffer; ``tells``: what follows has to know the command that was applied."""
+def actuator(plant: Plant, radio: Radio, rest: torch.Tensor, seed: int) -> list[nn.Module]:
+    """The downlink and the actuator's buffer."""
     link = radio.downlink
     if link is None:
         return []
     options = {"rest": rest, "sampling_interval": plant.spec.slot, "seed": seed}
-    told = link.acknowledged or tells
-    return [Actuator(link.loss, link.delay, link.every, link.buffer, told, link.horizon, **options)]
+    return [Actuator(link.loss, link.delay, link.every, link.buffer, link.acknowledged, link.horizon, **options)]

@@ -177,14 +177,24 @@ class Radio:
             raise ValueError(
                 "An MCS that follows the SNR needs csi perfect, resource_blocks null and no harq_ms; or give link.mcs."
             )
+        if self.lossless and self.resource_blocks is None:
+            raise ValueError(
+                "resource_blocks null asks the channel how much an update takes, and lossless leaves the channel out: "
+                "give resource_blocks, or leave lossless out."
+            )
+        if isinstance(self.link, McsLink) and isinstance(self.payload_bits, (tuple, list)):
+            raise ValueError(
+                f"payload_bits is {list(self.payload_bits)}: an MCS takes one number of bits for all devices."
+            )
 
     def _check_trace(self) -> None:
         if isinstance(self.delay, str) and (self.delay != "trace" or self.trace is None):
             raise ValueError(f"delay {self.delay!r} is none: give a law, or 'trace' and a trace.")
         if self.trace_start_s is not None:
             at_least(0, trace_start_s=self.trace_start_s)
-        if self.trace is not None and (self.lossless or self.harq_ms is not None or self.interference_rise_db):
-            raise ValueError("A trace is played as it is: leave lossless, harq_ms and interference_rise_db out.")
+        beside = self.lossless or self.loss is not None or self.harq_ms is not None or self.interference_rise_db
+        if self.trace is not None and beside:
+            raise ValueError("A trace is played as it is: leave lossless, loss, harq_ms and interference_rise_db out.")
 
     def check_fleet(self, num_devices: int) -> None:
         """Refuses a fleet of fewer devices than may transmit in a slot, among whom there is nothing to schedule.

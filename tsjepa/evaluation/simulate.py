@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,7 @@ from tsjepa.evaluation.rollouts import Loop, optimal_scores, run
 from tsjepa.evaluation.shown import shown_run
 from tsjepa.models import Controller
 from tsjepa.plants import Plant, describe_plant
-from tsjepa.radio.schedulers import SchedulerFunction, get_scheduler
+from tsjepa.radio.schedulers import SchedulerFunction, get_scheduler, name_of
 from tsjepa.radio.traces import describe, read_trace
 from tsjepa.support.checks import at_least
 from tsjepa.support.files import write_json, write_text
@@ -118,7 +119,10 @@ def simulate(
         sizes_served.check_sizes(search_over)
     if isinstance(schedulers, str) or not schedulers:
         raise ValueError("schedulers is a list of at least one name, such as [channel_aware, round_robin].")
-    named = {getattr(scheduler, "__name__", scheduler): scheduler for scheduler in schedulers}
+    named = {name_of(scheduler): scheduler for scheduler in schedulers}
+    if len(named) < len(schedulers):
+        called = [name_of(scheduler) for scheduler in schedulers]
+        raise ValueError(f"Of the schedulers {', '.join(called)} two have one name: leave one out, or give it another.")
     functions = [get_scheduler(scheduler) for scheduler in schedulers]
     model_or_name = load_controller(controller, device)
     machine = plant_for(model_or_name, plant)
@@ -126,6 +130,8 @@ def simulate(
     camera = machine.camera() if film or isinstance(model_or_name, Controller) else {}
     warn_of_another_renderer(camera, getattr(model_or_name, "metrics", None))
     sizes = [*search_over] if num_devices is None else [num_devices, *search_over]
+    # the normaliser's plants start as the model's, whose stack may be longer
+    frame_history = max(frame_history, getattr(model_or_name, "frame_history", 0))
     loop = Loop(machine, model_or_name, "none", max(sizes), slots, radio, frame_history)
     loop.env(0)  # says now what does not fit together
     optimal = optimal_scores(loop, seeds)
@@ -151,7 +157,8 @@ def simulate(
     if num_devices is not None:
         result["fleet"] = one_fleet(experiment, num_devices, video, record)
     if search_over:
-        result["search"] = search(experiment, search_over, code_hash(type(machine), *functions), search_resolution)
+        plain = [scheduler.func if isinstance(scheduler, partial) else scheduler for scheduler in functions]
+        result["search"] = search(experiment, search_over, code_hash(type(machine), *plain), search_resolution)
     print(f"Figures and plots are in {folder}.")
     return result
 

@@ -42,7 +42,7 @@ class EnergyModel:
     """What a device draws.
 
     Args:
-        encode_j: camera and encoder, for each picture that is sent.
+        encode_j: camera and encoder, for each picture: of devices that watch, in every slot, else of those that send.
         circuit_w: the radio beside its amplifier, while it transmits.
         amplifier_efficiency: radiated over drawn power, in (0, 1].
         airtime_s: of one transmission where no resource units are counted; else a unit lasts a millisecond.

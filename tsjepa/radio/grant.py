@@ -9,7 +9,8 @@ def grant(score: Tensor, candidate: Tensor, demand: Tensor | None, budget: int |
     """Fill the budget with candidates in order of descending score; equal scores go in order of index.
 
     Filling stops at the first device that does not fit: nobody with a lower score overtakes it. A device that needs
-    more than the whole budget is no candidate. With ``demand=None`` every device takes one unit.
+    more than the whole budget, or whose score is not a number, is no candidate. With ``demand=None`` every device takes
+    one unit.
 
     Args:
         score: [..., I], any real dtype.
@@ -20,6 +21,7 @@ def grant(score: Tensor, candidate: Tensor, demand: Tensor | None, budget: int |
     Returns:
         [..., I] bool.
     """
+    candidate = candidate & (score == score)  # NaN is not equal to itself
     if demand is None and isinstance(budget, int):
         return _top(score, candidate, budget)
     room = torch.as_tensor(budget, device=score.device).unsqueeze(-1)

@@ -10,6 +10,7 @@ is usually a score handed to :func:`tsjepa.radio.grant.grant`; ties go to the de
 
 import inspect
 from collections.abc import Callable
+from functools import partial
 
 import torch
 from torch import Tensor
@@ -140,6 +141,7 @@ def periodic(period: int) -> SchedulerFunction:
         due = known.slot % period == 0 if period else known.slot == 0
         return known.candidate & due, known.memory
 
+    periodic_scheduler.__name__ = f"periodic({period})"
     return periodic_scheduler
 
 
@@ -164,6 +166,7 @@ def gated(scheduler: SchedulerFunction) -> SchedulerFunction:
     def gated_scheduler(known: Known):
         return scheduler(known._replace(candidate=known.candidate & known.above_threshold))
 
+    gated_scheduler.__name__ = f"gated({name_of(scheduler)})"
     return gated_scheduler
 
 
@@ -211,6 +214,54 @@ def get_scheduler(scheduler: str | SchedulerFunction) -> SchedulerFunction:
         raise ValueError(f"a scheduler is a function of one argument, known, not {scheduler!r}")
     _check_signature(scheduler)
     return scheduler
+
+
+def name_of(scheduler: str | SchedulerFunction) -> str:
+    """What tables and files call a scheduler: its name, and of a ``functools.partial`` the arguments too."""
+    if isinstance(scheduler, partial):
+        given = [*map(repr, scheduler.args), *(f"{key}={value!r}" for key, value in scheduler.keywords.items())]
+        return f"{name_of(scheduler.func)}({', '.join(given)})"
+    return scheduler if isinstance(scheduler, str) else getattr(scheduler, "__name__", type(scheduler).__name__)
+
+
+def checked(scheduler: SchedulerFunction) -> SchedulerFunction:
+    """The scheduler; one that is not this package's own with its answer checked in every slot.
+
+    Nothing after it would notice that more is sent than the radio carries. ``oracle``, ``once`` and ``periodic`` ignore
+    the budget on purpose.
+
+    Raises:
+        ValueError: in the slot, where the answer is no pair, no flag for each device, or beyond the budget.
+    """
+    if getattr(scheduler, "__module__", "").partition(".")[0] == __name__.partition(".")[0]:
+        return scheduler
+
+    def checked_scheduler(known: Known):
+        answer = scheduler(known)
+        if not (isinstance(answer, tuple) and len(answer) == 2 and all(isinstance(part, Tensor) for part in answer)):
+            raise ValueError(f"The scheduler {name_of(scheduler)} must return a pair of tensors: (schedule, memory).")
+        schedule, memory = answer
+        if schedule.dtype != torch.bool or schedule.shape != known.memory.shape or memory.shape != known.memory.shape:
+            raise ValueError(
+                f"The scheduler {name_of(scheduler)} returned a schedule {_described(schedule)} and a memory "
+                f"{_described(memory)}: one flag (bool) and one number for each device are wanted, "
+                f"{list(known.memory.shape)}."
+            )
+        demand = torch.ones_like(schedule, dtype=torch.int64) if known.demand is None else known.demand
+        over = demand.masked_fill(~schedule, 0).sum(-1) - known.budget
+        if bool((over > 0).any()) or bool((schedule & ~known.candidate).any()):
+            raise ValueError(
+                f"The scheduler {name_of(scheduler)} granted up to {max(int(over.max()), 0)} units beyond the budget "
+                "or picked a device that is no candidate: end it with grant(score, known.candidate, known.demand, "
+                "known.budget)."
+            )
+        return schedule, memory
+
+    return checked_scheduler
+
+
+def _described(tensor: Tensor) -> str:
+    return f"{list(tensor.shape)} of {tensor.dtype}"
 
 
 def _check_signature(scheduler: Callable) -> None:

@@ -9,7 +9,7 @@ from tsjepa.radio.belief import check_csi
 from tsjepa.radio.feedback import AckLearned
 from tsjepa.radio.knowledge import Known
 from tsjepa.radio.link import DECODE_THRESHOLD_DB, db_to_linear
-from tsjepa.radio.schedulers import SchedulerFunction, get_scheduler
+from tsjepa.radio.schedulers import SchedulerFunction, checked, get_scheduler
 
 _CHUNK_ELEMENTS = 2**18
 
@@ -64,7 +64,7 @@ def simulate_ages(
         raise ValueError(f"unknown aoi_reset {aoi_reset!r}: choose 'delivery' or 'scheduled'")
     if not 1 <= slots < 2**24:
         raise ValueError(f"slots = {slots} must lie between 1 and 2^24 - 1")
-    decide = get_scheduler(scheduler)
+    decide = checked(get_scheduler(scheduler))
     shape = (batch, num_devices)
     generator = torch.Generator(device=device).manual_seed(seed)
     mean_snr = db_to_linear(mean_snr_db).to(device, torch.float32).expand(shape)

@@ -27,6 +27,10 @@ class FrameStream(nn.Module):
         self.link = link
         self.kept: Tensor | None = None
 
+    def restart(self) -> None:
+        """Forgets what was sent, as at the start of an episode."""
+        self.kept = None
+
     def encode(self, values: Tensor) -> list[bytes]:
         """One packet a device; the frames behind the newest travel in the first slot alone."""
         if self.kept is None:

@@ -7,7 +7,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from tsjepa.evaluation.evaluate import evaluate
-from tsjepa.models import Controller, entries
+from tsjepa.models import AutoencoderController, Controller, entries
 from tsjepa.support.files import read_json
 from tsjepa.zoo.card import card
 from tsjepa.zoo.training_history import data_sets, training_history
@@ -52,6 +52,8 @@ def export(
     metrics = evaluation_of(model, source, evaluation, history)
     metrics |= {"training": history, "data_sets": data_sets(history), "trained_with": trained_with}
     if not decoder:
+        if isinstance(model, AutoencoderController):
+            raise ValueError("An autoencoder acts on what its decoder draws: leave decoder at true.")
         model.decoder = None
     if training_seeds is not None:
         metrics["training_seeds"] = read_json(training_seeds)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -112,6 +113,8 @@ class Streams:
         for kind in ("action", "state"):
             if isinstance(value := getattr(self, kind), str):
                 setattr(self, kind, [name.strip() for name in value.split(",")])
+        if self.rate_hz is not None and not 0 < self.rate_hz < math.inf:
+            raise ValueError(f"rate_hz is {self.rate_hz:g}: it is pictures a second, such as 20.")
 
 
 class Recording(Protocol):

@@ -155,15 +155,17 @@ class Videos:
 
     def _listed(self, table: tables.Table) -> tuple[list[str] | None, list[str]]:
         """File names of the camera's pictures, where the rows have a column of them, and all such columns."""
-        columns = numbered.picture_columns(table)
+        columns, wanted = numbered.picture_columns(table), self.streams.camera
+        if wanted is not None and wanted not in (columns or self.cameras):
+            there = f"there are {', '.join(columns)}" if columns else "its episodes have one each, so leave it out"
+            raise ValueError(f"There is no camera {wanted}; {there}.")
         if not columns:
             return None, []
         if len(columns) > 1:
             self.cameras += [name for name in columns if name not in self.cameras]
             note = f"It has the cameras {', '.join(columns)}; the first is taken."
-            self.notes += [note] if note not in self.notes and self.streams.camera is None else []
-        chosen = self.streams.camera if self.streams.camera in columns else columns[0]
-        return [numbered.file_name(cell) for cell in table[chosen]], columns
+            self.notes += [note] if note not in self.notes and wanted is None else []
+        return [numbered.file_name(cell) for cell in table[wanted or columns[0]]], columns
 
     def _frames(self, source: Path, listed: list[str] | None) -> Frames:
         if source not in self.folders:
@@ -226,11 +228,40 @@ class Videos:
             own = {source.name, stem, source.relative_to(self.path).as_posix()}
             rows = np.flatnonzero([str(cell) in own or Path(str(cell)).name in own for cell in column])
         else:
-            digits = [part for part in pictures.natural(stem) if part[0] == 0]
-            number = digits[-1][1] if digits else self._sources.index(source)
-            rows = np.flatnonzero(column == number)
+            numbers, episodes = self._numbers(source), set(column[np.isfinite(column)].tolist())
+            place = -1 if whole else self._place(source, episodes)
+            rows = np.flatnonzero(column == (numbers[place] if numbers else self._sources.index(source)))
         if not len(rows) and whole:
             return np.arange(len(column))
         if not len(rows):
             raise ValueError("the table has no rows for it.")
         return rows
+
+    def _numbers(self, source: Path) -> list[int]:
+        """The numbers in the name of a video or a folder of pictures."""
+        stem = source.name if source in self.folders else source.stem
+        return [part[1] for part in pictures.natural(stem) if part[0] == 0]
+
+    def _place(self, source: Path, episodes: set) -> int:
+        """Which of the numbers in the names tells the sources beside this one apart and is an episode of the table.
+
+        Raises:
+            ValueError: several are, or the names count from another number than the table.
+        """
+        beside = [other for other in self._sources if len(self.tables) == 1 or other.parent == source.parent]
+        named = [numbers for other in beside if (numbers := self._numbers(other))]
+        places = [set(values) for values in zip(*named, strict=False)]
+        fitting = [
+            place for place, values in enumerate(places) if values & episodes and (len(values) > 1 or len(named) == 1)
+        ]
+        mend = "write the names of the files into the table's column."
+        if len(fitting) > 1:
+            found = ", ".join(map(str, self._numbers(source)))
+            raise ValueError(f"several of the numbers in its name ({found}) are episodes of the table: {mend}")
+        if not fitting:
+            return -1
+        values = places[fitting[0]]
+        shifts = {mine - theirs for mine, theirs in zip(sorted(values), sorted(episodes), strict=False)}
+        if len(values) == len(episodes) and len(shifts) == 1 and shifts != {0}:
+            raise ValueError(f"the names count from {min(values)} and the table from {min(episodes):g}: {mend}")
+        return fitting[0]

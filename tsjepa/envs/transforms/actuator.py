@@ -21,7 +21,8 @@ class Actuator(SlotTransform):
 
     Replaces ``action`` on its way to the plant. Reads ``plan`` [*B, buffer, m] from the policy where ``buffer`` exceeds
     1, its first row the ``action``. Writes ``applied_command`` [*B, m], what was applied in the slot before, at rest at
-    the start. Put it in front of the estimator, which then sees what was sent, or if ``acknowledged`` what was applied.
+    the start. Put it in front of the estimator, which then sees what the last packet that was sent has for the slot, or
+    if ``acknowledged`` what was applied.
 
     Args:
         loss: probability that a packet is lost.
@@ -35,7 +36,15 @@ class Actuator(SlotTransform):
         seed: of losses and delays.
     """
 
-    carried = ("command_flight", "command_flight_slot", "command_buffer", "command_slot", "applied_command")
+    carried = (
+        "command_flight",
+        "command_flight_slot",
+        "command_buffer",
+        "command_slot",
+        "applied_command",
+        "sent_buffer",
+        "sent_slot",
+    )
 
     def __init__(
         self,
@@ -65,6 +74,8 @@ class Actuator(SlotTransform):
             "command_buffer": number_spec(incoming, self.buffer, *size),
             "command_slot": number_spec(incoming, **whole),
             "applied_command": number_spec(incoming, *size),
+            "sent_buffer": number_spec(incoming, self.buffer, *size),
+            "sent_slot": number_spec(incoming, **whole),
         }
 
     def _begin(self, before: Values, current: TensorDictBase) -> Values:
@@ -77,6 +88,8 @@ class Actuator(SlotTransform):
             "command_buffer": buffer,
             "command_slot": torch.full(current.batch_size, -1, dtype=torch.int64, device=current.device),
             "applied_command": rest,
+            "sent_buffer": buffer.clone(),
+            "sent_slot": torch.full(current.batch_size, -1, dtype=torch.int64, device=current.device),
         }
 
     def _slot(self, previous: Values, current: TensorDictBase, fresh: Tensor | None) -> Values:
@@ -86,25 +99,32 @@ class Actuator(SlotTransform):
         slot, device, episode = tensordict["slot"], device_index(tensordict), episode_of(tensordict)
         flight = InFlight(tensordict["command_flight"], tensordict["command_flight_slot"])
         arrives = uniform(self.seed, "downlink_loss", device, episode, slot) >= self.loss
-        sent = arrives & (slot % self.every == 0)
+        due = slot % self.every == 0
         delay = torch.zeros_like(slot)
         if self.delay is not None:
             drawn = self.delay.draw(self.seed, device, episode, slot, stream="downlink_delay")
             delay = whole_slots(drawn, self.delay.unit, self.sampling_interval)
-        flight, _ = send(flight, sent, self._packet(tensordict), slot, delay)
+        packet = self._packet(tensordict)
+        sent_buffer = select(due, packet, tensordict["sent_buffer"])
+        sent_slot = torch.where(due, slot, tensordict["sent_slot"])
+        flight, _ = send(flight, arrives & due, packet, slot, delay)
         flight, heard, packet, number = receive(flight)
         newest = tensordict["command_slot"]
         newer = heard & (number > newest)
         newest = torch.where(newer, number, newest)
         buffer = select(newer, packet, tensordict["command_buffer"])
-        place = (slot - newest).clamp(max=self.buffer - 1)
-        index = place.reshape(*place.shape, 1, 1).expand(*place.shape, 1, buffer.shape[-1])
-        applied = buffer.gather(-2, index).squeeze(-2)
-        own = tensordict["action"]
-        values = (flight.payload, flight.sequence, buffer, newest, applied)
+        applied, action = self._command_of(buffer, slot - newest), tensordict["action"]
+        values = (flight.payload, flight.sequence, buffer, newest, applied, sent_buffer, sent_slot)
         for key, value in zip(self.carried, values, strict=True):
             tensordict.set(key, value)
-        return tensordict.set("sent_command", own).set("action", applied.to(own))
+        believed = self._command_of(sent_buffer, slot - sent_slot)
+        return tensordict.set("sent_command", believed.to(action)).set("action", applied.to(action))
+
+    def _command_of(self, buffer: Tensor, slots_ago: Tensor) -> Tensor:
+        """What a packet [*B, buffer, m] that was sent so many slots ago has for this slot, [*B, m]."""
+        place = slots_ago.clamp(max=self.buffer - 1)
+        index = place.reshape(*place.shape, 1, 1).expand(*place.shape, 1, buffer.shape[-1])
+        return buffer.gather(-2, index).squeeze(-2)
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         sent = tensordict.pop("sent_command")

@@ -11,7 +11,10 @@ from tsjepa.radio.link import BLOCK_BANDWIDTH_HZ, UNIT_DURATION_S, tx_power_for_
 
 
 class Energy(SlotTransform):
-    """Writes ``energy_j`` [*B] float32: what a device's camera, encoder and radio take in this slot, 0 if silent.
+    """Writes ``energy_j`` [*B] float32: what a device's camera, encoder and radio take in this slot.
+
+    A silent device takes nothing, or ``encode_j`` if it ``watches``: it draws and encodes in every slot to know its
+    need or to remember.
 
     Reads ``scheduled``, ``resource_units`` and ``transmissions`` where they are written, and ``path_loss_db`` for the
     power that reaches ``snr_target_db``.
@@ -21,6 +24,8 @@ class Energy(SlotTransform):
         tx_power_dbm: power in one resource block, unless ``snr_target_db`` is given and there is a path loss.
         snr_target_db: mean SNR that power control reaches; one, or one a device [I].
     """
+
+    watches = False
 
     def __init__(self, model: EnergyModel, tx_power_dbm: float = 23.0, snr_target_db: float | Tensor | None = None):
         super().__init__(in_keys=[], out_keys=["energy_j"])
@@ -42,4 +47,5 @@ class Energy(SlotTransform):
             airtime = units * UNIT_DURATION_S / (1 if transmissions is None else 2)
         if transmissions is not None:
             airtime = airtime * transmissions
-        return {"energy_j": torch.where(sent, self.model.joules(power, airtime), 0.0).to(torch.float32)}
+        silent = self.model.encode_j if self.watches else 0.0
+        return {"energy_j": torch.where(sent, self.model.joules(power, airtime), silent).to(torch.float32)}

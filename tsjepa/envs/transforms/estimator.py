@@ -127,10 +127,11 @@ def linear_model(a: Tensor, b: Tensor) -> Callable[[Tensor, Tensor], Tensor]:
 
 
 class HoldCommand(SlotTransform):
-    """The actuator repeats its last command, or rests, while no update of its device arrives.
+    """The last command is repeated, or the one at rest given, while no update of its device arrives.
 
     Replaces ``action`` on its way to the plant where ``delivered`` is False; the policy's own action stays in the
-    tensordict. Writes ``held_command`` [*B, m], the command that was applied in the slot before, at rest at the start.
+    tensordict. Writes ``held_command`` [*B, m], the command of the slot before, at rest at the start. Behind a downlink
+    it is the one that was sent: what was applied may be an older one.
 
     Put it last: what stands before it then sees the command that was applied.
 
@@ -140,7 +141,6 @@ class HoldCommand(SlotTransform):
     """
 
     carried = ("held_command",)
-    previous_keys = ("action",)
 
     def __init__(self, between: str = "hold", rest: float | Tensor = 0.0):
         if between not in ("hold", "zero"):
@@ -158,10 +158,10 @@ class HoldCommand(SlotTransform):
 
     def _slot(self, previous: Values, current: TensorDictBase, fresh: Tensor | None) -> Values:
         require_key(current, "delivered", "HoldCommand", "an Uplink")
-        applied = previous["action"]
-        return {"held_command": previous["held_command"] if applied is None else applied.to(torch.float32)}
+        return {"held_command": previous["held_command"]}
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
         command = tensordict["action"]
         held = tensordict["held_command"].to(command) if self.between == "hold" else self.rest.expand_as(command)
-        return tensordict.set("action", select(tensordict["delivered"], command, held))
+        command = select(tensordict["delivered"], command, held)
+        return tensordict.set("held_command", command.to(torch.float32)).set("action", command)

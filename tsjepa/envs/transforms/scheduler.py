@@ -15,7 +15,7 @@ from tsjepa.radio.knowledge import Known
 from tsjepa.radio.link import DECODE_THRESHOLD_DB, db_to_linear, resource_units, units_per_slot
 from tsjepa.radio.links import AdaptedDecoding
 from tsjepa.radio.loss import GilbertElliott, IidLoss
-from tsjepa.radio.schedulers import SchedulerFunction, get_scheduler
+from tsjepa.radio.schedulers import SchedulerFunction, checked, get_scheduler
 
 
 class Scheduler(SlotTransform):
@@ -73,7 +73,7 @@ class Scheduler(SlotTransform):
             carried.append("resource_units")
         self.carried = tuple(carried)
         super().__init__(in_keys=[], out_keys=carried)
-        self.decide = get_scheduler(scheduler)
+        self.decide = checked(get_scheduler(scheduler))
         self.payload_bits = payload_bits
         self.budget = resource_blocks if payload_bits is None else (units or units_per_slot(sampling_interval))
         self.csi, self.weight = csi, weight

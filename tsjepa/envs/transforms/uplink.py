@@ -23,6 +23,7 @@ from tsjepa.radio.codecs import payload_bits
 from tsjepa.radio.link import DECODE_THRESHOLD_DB, db_to_linear, resource_units
 from tsjepa.radio.links import McsLink
 from tsjepa.radio.streams import uniform
+from tsjepa.radio.video import FrameStream
 
 AT_CONTROLLER = ("delivered", "age_of_information")
 AT_BASE_STATION = ("decoded", "decoded_age")
@@ -50,6 +51,14 @@ class Codec(SlotTransform):
 
     def _slot(self, previous: Values, current: TensorDictBase, fresh: Tensor | None) -> Values:
         rows = active_rows(current, "scheduled", fresh)
+        if isinstance(self.codec, FrameStream):
+            if not bool(rows.all()):
+                raise ValueError(
+                    "A codec of streams sends what is new since the slot before, so every device has to send in every "
+                    "slot: choose a codec without 'stream-', or as many resource_blocks as there are devices."
+                )
+            if fresh is not None:
+                self.codec.restart()
         source = require_key(current, self.in_keys[0], "Codec", "the transform that makes it")
         packets = self.codec.encode(source[rows])
         decoded = self.codec.decode(packets).to(source)
@@ -162,7 +171,9 @@ class Uplink(SlotTransform):
         if "erased" in keys:
             decodable = decodable & ~current["erased"]
         if {"resource_units", "payload_bits", "snr"} <= keys:
-            needed = self.demand(current["payload_bits"], current["snr"].to(torch.float64))
+            # what is decoded with its repetition had units for the threshold, as the scheduler asks for no more
+            snr = current["snr"].to(torch.float64)
+            needed = self.demand(current["payload_bits"], snr.clamp(min=self.snr_threshold) if self.repeats else snr)
             decodable = decodable & (needed <= current["resource_units"])
         return decodable
 
