@@ -258,6 +258,13 @@ def test_an_answer_of_a_users_scheduler_that_cannot_be_is_refused_in_its_slot(an
         simulate_ages(own(answer), num_devices=5, resource_blocks=2, slots=3)
 
 
+def test_a_scheduler_that_was_typed_into_an_interpreter_is_checked_too():
+    names = {}
+    exec("def mine(known):\n    return known.candidate, known.memory", {"__name__": None}, names)
+    with pytest.raises(ValueError, match="beyond the budget"):
+        simulate_ages(names["mine"], num_devices=5, resource_blocks=2, slots=3)
+
+
 def test_units_beyond_the_budget_are_counted_where_devices_need_several():
     known = alike(1, 3, budget=5)._replace(demand=torch.tensor([[2, 2, 2]]))
     both = torch.tensor([[True, True, False]])

@@ -233,7 +233,8 @@ def checked(scheduler: SchedulerFunction) -> SchedulerFunction:
     Raises:
         ValueError: in the slot, where the answer is no pair, no flag for each device, or beyond the budget.
     """
-    if getattr(scheduler, "__module__", "").partition(".")[0] == __name__.partition(".")[0]:
+    module = getattr(scheduler, "__module__", None) or ""  # None of what was typed into an interpreter
+    if module.partition(".")[0] == __name__.partition(".")[0]:
         return scheduler
 
     def checked_scheduler(known: Known):

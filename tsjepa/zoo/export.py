@@ -48,12 +48,12 @@ def export(
         raise ValueError(f"{name!r} is no name of an entry: leave out folders, which --folder gives.")
     source = model_folder(run)
     model = entries.load(source)
+    if not decoder and isinstance(model, AutoencoderController):
+        raise ValueError("An autoencoder acts on what its decoder draws: leave decoder at true.")
     history = training_history(source)
     metrics = evaluation_of(model, source, evaluation, history)
     metrics |= {"training": history, "data_sets": data_sets(history), "trained_with": trained_with}
     if not decoder:
-        if isinstance(model, AutoencoderController):
-            raise ValueError("An autoencoder acts on what its decoder draws: leave decoder at true.")
         model.decoder = None
     if training_seeds is not None:
         metrics["training_seeds"] = read_json(training_seeds)
