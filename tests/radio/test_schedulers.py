@@ -1,5 +1,6 @@
 """Properties of the schedulers over 100,000 random cases, and their ages against theory."""
 
+import pickle
 from functools import partial
 
 import pytest
@@ -279,6 +280,12 @@ def test_units_beyond_the_budget_are_counted_where_devices_need_several():
 def test_what_ignores_the_budget_on_purpose_is_not_checked():
     for scheduler in (SCHEDULERS["oracle"], periodic(2), gated(SCHEDULERS["oracle"])):
         assert checked(scheduler) is scheduler
+
+
+def test_a_checked_scheduler_can_be_sent_to_another_process():
+    sent = pickle.loads(pickle.dumps(checked(partial(channel_aware, age_weight=2.0))))
+    known = random_case(12, cases=100)
+    assert torch.equal(sent(known)[0], channel_aware(known, age_weight=2.0)[0])
 
 
 def test_names_of_functions_tell_their_arguments():

@@ -236,29 +236,29 @@ def checked(scheduler: SchedulerFunction) -> SchedulerFunction:
     module = getattr(scheduler, "__module__", None) or ""  # None of what was typed into an interpreter
     if module.partition(".")[0] == __name__.partition(".")[0]:
         return scheduler
+    return partial(_held_to_the_budget, scheduler)  # which can be sent to another process, as the function can
 
-    def checked_scheduler(known: Known):
-        answer = scheduler(known)
-        if not (isinstance(answer, tuple) and len(answer) == 2 and all(isinstance(part, Tensor) for part in answer)):
-            raise ValueError(f"The scheduler {name_of(scheduler)} must return a pair of tensors: (schedule, memory).")
-        schedule, memory = answer
-        if schedule.dtype != torch.bool or schedule.shape != known.memory.shape or memory.shape != known.memory.shape:
-            raise ValueError(
-                f"The scheduler {name_of(scheduler)} returned a schedule {_described(schedule)} and a memory "
-                f"{_described(memory)}: one flag (bool) and one number for each device are wanted, "
-                f"{list(known.memory.shape)}."
-            )
-        demand = torch.ones_like(schedule, dtype=torch.int64) if known.demand is None else known.demand
-        over = demand.masked_fill(~schedule, 0).sum(-1) - known.budget
-        if bool((over > 0).any()) or bool((schedule & ~known.candidate).any()):
-            raise ValueError(
-                f"The scheduler {name_of(scheduler)} granted up to {max(int(over.max()), 0)} units beyond the budget "
-                "or picked a device that is no candidate: end it with grant(score, known.candidate, known.demand, "
-                "known.budget)."
-            )
-        return schedule, memory
 
-    return checked_scheduler
+def _held_to_the_budget(scheduler: SchedulerFunction, known: Known) -> tuple[Tensor, Tensor]:
+    answer = scheduler(known)
+    if not (isinstance(answer, tuple) and len(answer) == 2 and all(isinstance(part, Tensor) for part in answer)):
+        raise ValueError(f"The scheduler {name_of(scheduler)} must return a pair of tensors: (schedule, memory).")
+    schedule, memory = answer
+    if schedule.dtype != torch.bool or schedule.shape != known.memory.shape or memory.shape != known.memory.shape:
+        raise ValueError(
+            f"The scheduler {name_of(scheduler)} returned a schedule {_described(schedule)} and a memory "
+            f"{_described(memory)}: one flag (bool) and one number for each device are wanted, "
+            f"{list(known.memory.shape)}."
+        )
+    demand = torch.ones_like(schedule, dtype=torch.int64) if known.demand is None else known.demand
+    over = demand.masked_fill(~schedule, 0).sum(-1) - known.budget
+    if bool((over > 0).any()) or bool((schedule & ~known.candidate).any()):
+        raise ValueError(
+            f"The scheduler {name_of(scheduler)} granted up to {max(int(over.max()), 0)} units beyond the budget "
+            "or picked a device that is no candidate: end it with grant(score, known.candidate, known.demand, "
+            "known.budget)."
+        )
+    return schedule, memory
 
 
 def _described(tensor: Tensor) -> str:
