@@ -143,7 +143,7 @@ def test_devices_that_watch_all_the_time_spend_the_energy_of_every_picture(sched
     torch.testing.assert_close(data["energy_j"], spent)
 
 
-def test_a_stream_of_frames_wants_every_device_in_every_slot_and_starts_anew_with_an_episode(tmp_path):
+def test_a_stream_of_frames_wants_every_device_in_every_slot_and_starts_anew_with_an_episode():
     model = tiny_controller.tiny()
 
     def env(blocks):

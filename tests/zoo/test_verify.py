@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import torch
 import yaml
-from tiny_controller import frames, tiny, tiny_autoencoder, tiny_supervised
+from tiny_controller import frames, tiny, tiny_supervised
 
 import tsjepa
 from tsjepa import cli
@@ -394,10 +394,3 @@ def test_a_card_of_a_controller_without_predictor_does_not_promise_one():
     assert yaml.safe_load(text.split("---\n")[1])["tags"][-1] == "imitation-learning"
     assert "model.predict" not in text
     assert "the last command is held" in text
-
-
-def test_an_autoencoder_is_not_exported_without_the_decoder_that_it_acts_by(tmp_path):
-    entries.save(tiny_autoencoder(), tmp_path / "run" / "model")
-    with pytest.raises(ValueError, match="acts on what its decoder draws"):
-        export(str(tmp_path / "run"), "absent", folder=str(tmp_path), decoder=False)
-    assert not (tmp_path / "absent").exists()
