@@ -40,6 +40,20 @@ def test_a_warm_up_runs_without_force_and_the_expert_takes_over_after_it(tmp_pat
     assert torch.equal(split["action"][:, 2:-1], split["expert_action"][:, 2:-1])
 
 
+def test_a_late_trajectory_rests_for_a_draw_of_its_own_and_then_has_the_expert(tmp_path):
+    splits = {"late": Split(40, coverage=False, late_slots=5), "early": Split(40, coverage=False)}
+    folder = collect(str(tmp_path / "late"), PLANT, splits, slots=12, warmup_slots=1, seed=7)
+    split = open_split(folder, "late")
+    heard = (split["action"] != 0).squeeze(-1).int().argmax(1)
+    assert set(heard.tolist()) == {1, 2, 3, 4, 5, 6}
+    for episode, slot in enumerate(heard):
+        assert torch.equal(split["action"][episode, slot:-1], split["expert_action"][episode, slot:-1])
+    early = open_split(folder, "early")["action"]
+    assert (early[:, 0] == 0).all() and (early[:, 1:-1] != 0).all()
+    with pytest.raises(ValueError, match="late_slots"):
+        collect(str(tmp_path / "never"), PLANT, {"late": Split(1, late_slots=-1)}, slots=3)
+
+
 def test_its_metadata_says_who_drew_the_pictures_and_a_model_that_meets_another_is_warned(folder, capsys):
     camera = read_metadata(folder)["camera"]
     assert camera == json.loads(json.dumps(PLANT.camera()))

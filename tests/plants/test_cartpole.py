@@ -8,9 +8,12 @@ import torch
 from drive import run
 from tensordict.nn import TensorDictModule
 
-from tsjepa.envs import FleetEnv
-from tsjepa.plants import CartPole
+from tsjepa.envs import FleetEnv, Radio
+from tsjepa.evaluation.rollouts import Loop
+from tsjepa.evaluation.rollouts import run as fleet_run
+from tsjepa.plants import CartPole, build_plant, describe_plant
 from tsjepa.plants.lqr import lqr_gain
+from tsjepa.radio.schedulers import Known
 
 MEASUREMENT_NOISE = np.array([0.008, 0.005, 0.06, 0.08])
 POLE_INERTIA = 0.00942459  # kg m^2 about its centre: a solid capsule of 1 m between its caps' centres, radius 0.045 m
@@ -78,9 +81,32 @@ def test_the_searched_law_follows_the_wanted_position():
 
 
 @pytest.mark.parametrize("other", [{"sampling_interval": 0.01}, {"pole_length": 0.5}])
-def test_the_searched_law_belongs_to_the_machine_that_it_was_searched_on(other):
+def test_the_searched_laws_belong_to_the_machine_that_they_were_searched_on(other):
     assert list(CartPole(**other).experts()) == ["expert", "reference LQR"]
-    assert list(CartPole().experts()) == ["expert", "reference LQR", "searched law"]
+    assert list(CartPole().experts()) == ["expert", "reference LQR", "searched law", "fleet law"]
+    with pytest.raises(ValueError, match="no expert 'fleet law': choose expert, reference LQR; "):
+        CartPole(**other, expert="fleet law")
+
+
+def test_the_chosen_expert_comes_first_and_drives():
+    plant = CartPole(expert="fleet law")
+    assert list(plant.experts()) == ["fleet law", "expert", "reference LQR", "searched law"]
+    assert build_plant(describe_plant(plant)).expert == "fleet law"
+    state = torch.tensor([[0.02, 0.01, 0.0, 0.0]])
+    laws = [next(iter(each.experts().values()))(state) for each in (plant, CartPole())]
+    assert torch.equal(laws[0], CartPole().experts()["fleet law"](state)) and not torch.equal(*laws)
+
+
+def test_the_fleet_law_saves_machines_that_are_heard_of_late():
+    def after_ten_slots(known: Known):
+        return known.candidate & (known.slot >= 10), known.memory
+
+    lost = {}
+    for expert in ("expert", "fleet law"):
+        radio = Radio(lossless=True, resource_blocks=80)
+        loop = Loop(CartPole(expert=expert), scheduler=after_ten_slots, num_devices=80, radio=radio)
+        lost[expert] = int(fleet_run(loop, seed=9).failed().sum())
+    assert lost["fleet law"] <= 0.4 * lost["expert"] and lost["expert"] >= 8
 
 
 @pytest.mark.parametrize("slot", [0.002, 0.005, 0.01])

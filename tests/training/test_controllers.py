@@ -9,6 +9,7 @@ import tiny_data
 from tsjepa.data.augmentation import Augmentation
 from tsjepa.data.module import Trajectories
 from tsjepa.models import Decoder, Encoder, entries
+from tsjepa.plants import CartPole, describe_plant
 from tsjepa.training.actor import SemanticActor
 from tsjepa.training.autoencoder import Autoencoder
 from tsjepa.training.supervised import Supervised
@@ -35,3 +36,12 @@ def test_what_has_a_gradient_is_what_is_optimized(tmp_path, monkeypatch, make):
     optimized = module.configure_optimizers()["optimizer"].param_groups[0]["params"]
     with_gradient = [parameter for parameter in module.parameters() if parameter.requires_grad]
     assert {id(parameter) for parameter in with_gradient} == {id(parameter) for parameter in optimized}
+
+
+def test_an_actor_is_for_the_plant_that_its_recipe_names(tmp_path):
+    entry = str(entries.save(tiny_controller.tiny(), tmp_path / "entry"))
+    plant = CartPole(expert="fleet law")
+    assert SemanticActor(entry, plant=plant).controller().plant == describe_plant(plant)
+    assert SemanticActor(entry).controller().plant == entries.load(entry).plant
+    with pytest.raises(ValueError, match=r"slot in seconds of 0\.02, and the plant has 0\.01"):
+        SemanticActor(entry, plant=CartPole(0.01))

@@ -39,12 +39,15 @@ class Split:
         slots: T of its trajectories, if not that of the data set.
         views: how often each trajectory is drawn, in an appearance of its own each time. The views are episodes of
             their own, one after the other; only the plant's appearance differs between them.
+        late_slots: slots after the warm-up until the expert is heard, at rest: a draw from 0 to this many for each
+            trajectory. What waits for its first command on a radio is then in the data.
     """
 
     episodes: int
     coverage: bool = True
     slots: int | None = None
     views: int = 1
+    late_slots: int = 0
 
     @property
     def drawn(self) -> int:
@@ -91,8 +94,11 @@ def simulate(
     if split.coverage:
         goals = plant.goals(split.episodes, slots, generator)
         noise = coverage.noise(plant, split.episodes, slots, generator)
+    waits = np.random.default_rng(derive(seed, "late")).integers(0, split.late_slots + 1, split.episodes)
+    heard_from = torch.from_numpy(warmup_slots + waits).unsqueeze(-1)
     observation = fleet.reset()
     devices = np.arange(split.episodes)
+    rest = torch.tensor(spec.rest)
 
     def seen() -> Tensor:
         """Scenes [episodes, views, s]; a further view looks as a further episode of the same device would."""
@@ -109,8 +115,7 @@ def simulate(
         action = expert(observation["state"], own if goals is None else goals[:, slot])
         if noise is not None:
             action = torch.clamp(action + noise[:, slot], low, high)
-        if slot < warmup_slots:
-            action = action.new_tensor(spec.rest).repeat(split.episodes, 1)
+        action = torch.where(slot < heard_from, rest.to(action), action)
         observation = fleet.step(observation.set("action", action))["next"]
         states.append(observation["state"])
         scenes.append(seen())
@@ -162,6 +167,7 @@ def collect(
         at_least(1, workers=workers)
     for name, split in splits.items():
         at_least(1, **{f"splits.{name}.episodes": split.episodes, f"splits.{name}.views": split.views})
+        at_least(0, **{f"splits.{name}.late_slots": split.late_slots})
     at_least(1, slots=slots)
     if not splits or not all(name.isidentifier() for name in splits):
         raise ValueError(f"splits is {splits}; a data set needs at least one, and their names become folders.")

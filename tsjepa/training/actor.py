@@ -9,8 +9,9 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
+from tsjepa.envs.make import check_fit
 from tsjepa.models import SemanticController, entries
-from tsjepa.plants import build_plant
+from tsjepa.plants import Plant, build_plant, describe_plant
 from tsjepa.support.parallel import rank_and_world_size
 from tsjepa.support.seeds import derive, run_seed
 from tsjepa.training.controllers import new_controller, train_only
@@ -63,6 +64,11 @@ class SemanticActor(lightning.LightningModule):
         weight_decay: of AdamW.
         set_points: give the actor the plant's set-points beside the embedding. Every step draws new ones for the
             recorded states, and the plant's expert says what to do.
+        plant: what the controller is for, whose first expert is imitated, where that is not the plant of
+            ``pretrained``; the data set has to be of the same expert.
+
+    Raises:
+        ValueError: the plant has other frames, slots or commands than ``pretrained``.
     """
 
     def __init__(
@@ -73,6 +79,7 @@ class SemanticActor(lightning.LightningModule):
         learning_rate: float = 6e-3,
         weight_decay: float = 1e-4,
         set_points: bool = False,
+        plant: Plant | None = None,
     ) -> None:
         super().__init__()
         self.learning_rate, self.weight_decay = learning_rate, weight_decay
@@ -83,6 +90,9 @@ class SemanticActor(lightning.LightningModule):
         )
         self.model.observer = getattr(frozen, "observer", None)
         train_only(self.model, self.model.actor)
+        if plant is not None:
+            check_fit(self.model, plant)
+            self.model.plant = describe_plant(plant)
         self.set_points = set_points
 
     def setup(self, stage: str) -> None:
