@@ -73,13 +73,6 @@ def observed(entry: str) -> Made:
     return Made((Fit("observer", data="data/cartpole-noise"),), after=entry, decoder=False)
 
 
-def for_fleets(entry: str) -> Made:
-    """An entry for the cart-pole whose actor imitates the law for fleets, with an observer on the device."""
-    data = "data/cartpole-fleet"
-    fits = tuple(Fit(part, (f"fleet-law/{part}",)) for part in ("actor", "observer"))
-    return Made(fits, data, after=entry, decoder=False)
-
-
 SUPERVISED = (*LARGE_DATA, "--trainer.max_epochs", "9", "--model.init_args.learning_rate", "2e-3")
 GENERATIVE = (*LARGE_DATA, "--trainer.max_epochs", "12", "--trainer.check_val_every_n_epoch", "3")
 PAPER_20_MS = ("--data.init_args.path", "data/paper-20ms", "--data.init_args.collect", "recipes/zoo/paper-data.yaml")
@@ -91,7 +84,15 @@ ENTRIES: dict[str, Made] = {
     "tsjepa-cartpole-d16": Made((Fit("jepa", ("zoo/jepa", "zoo/d16")), Fit("actor", ("zoo/actor",)))),
     "tsjepa-cartpole-observer": observed("tsjepa-cartpole"),
     "tsjepa-cartpole-d16-observer": observed("tsjepa-cartpole-d16"),
-    "tsjepa-cartpole-d16-fleet": for_fleets("tsjepa-cartpole-d16"),
+    "tsjepa-cartpole-d16-fleet": Made(
+        (
+            Fit("jepa", ("zoo/jepa", "zoo/d16", "fleet-law/jepa")),
+            Fit("actor", ("fleet-law/actor",)),
+            Fit("observer", ("fleet-law/observer",)),
+        ),
+        "data/cartpole-fleet",
+        decoder=False,
+    ),
     "supervised-cartpole-k2": Made((Fit("supervised", (), SUPERVISED),)),
     "supervised-cartpole-k4": Made((Fit("supervised", ("supervised-k4",), SUPERVISED),)),
     "autoencoder-cartpole": Made((Fit("autoencoder", (), GENERATIVE),)),
