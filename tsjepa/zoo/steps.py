@@ -84,15 +84,6 @@ ENTRIES: dict[str, Made] = {
     "tsjepa-cartpole-d16": Made((Fit("jepa", ("zoo/jepa", "zoo/d16")), Fit("actor", ("zoo/actor",)))),
     "tsjepa-cartpole-observer": observed("tsjepa-cartpole"),
     "tsjepa-cartpole-d16-observer": observed("tsjepa-cartpole-d16"),
-    "tsjepa-cartpole-d16-fleet": Made(
-        (
-            Fit("jepa", ("zoo/jepa", "zoo/d16", "fleet-law/jepa")),
-            Fit("actor", ("fleet-law/actor",)),
-            Fit("observer", ("fleet-law/observer",)),
-        ),
-        "data/cartpole-fleet",
-        decoder=False,
-    ),
     "supervised-cartpole-k2": Made((Fit("supervised", (), SUPERVISED),)),
     "supervised-cartpole-k4": Made((Fit("supervised", ("supervised-k4",), SUPERVISED),)),
     "autoencoder-cartpole": Made((Fit("autoencoder", (), GENERATIVE),)),
