@@ -31,7 +31,7 @@ from tsjepa.support.provenance import machine, provenance
 
 DEVICES, SLOTS, NOISE = 140, 400, 0.008
 SEARCHED_ON, CHECKED_ON = (60, 61, 62), (63, 64, 65)
-SEEN_STD = (0.004, 0.002, 0.014, 0.016)  # of what arrives: m, rad, m/s, rad/s
+SEEN_STD = (0.002, 0.002, 0.008, 0.010)  # of what arrives: m, rad, m/s, rad/s
 STATE_SCALE = (0.5, 0.2, 1.0, 1.0)
 HEIGHT = 5.0  # newtons of a saturating term per unit of its parameter
 FIRST_STEP = 0.25
