@@ -98,8 +98,7 @@ class ImitationPairs(Trajectories):
             name: embed_split(model.encoder, self.split(name), model.frame_spacing)
             for name in dict.fromkeys((*self.splits, self.validation, self.test))
         }
-        # one by one: trajectories of another split may have another length
-        self.pairs = torch.cat([imitation_pairs(model, self.embedded[name], self.horizons) for name in self.splits])
+        self.pairs = imitation_pairs(model, torch.cat([self.embedded[name] for name in self.splits]), self.horizons)
         self.held_out = {name: self.embedded[name].flatten(0, 1) for name in {self.validation, self.test}}
 
     def train_dataloader(self) -> DataLoader:
