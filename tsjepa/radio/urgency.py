@@ -28,7 +28,10 @@ class UrgencyCode:
         if not 1 <= self.bits <= 16:
             raise ValueError(f"{self.bits} bits for an urgency: choose 1 to 16")
         if not 0 < self.smallest < self.full_scale:
-            raise ValueError(f"the smallest urgency, {self.smallest:g}, must lie between 0 and {self.full_scale:g}")
+            raise ValueError(
+                f"the smallest urgency, {self.smallest:g}, must lie between 0 and {self.full_scale:g}: choose smallest "
+                "above 0 and full_scale above smallest"
+            )
 
     def levels(self) -> Tensor:
         """Urgency that each code stands for, [2^bits] float64, ascending from 0."""
