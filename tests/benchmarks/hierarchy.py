@@ -7,9 +7,9 @@ their own for each training seed: as many parameters, steps, roll-outs a step an
 one is fed its own output over 20 slots; the strides of 1, 5 and 20 jump 10, 8 and 2 times, with and without a loss
 term by which jumps over the same slots agree. In the loop the largest stride that ends in a slot predicts it. Of
 each there are three training seeds of 8000 steps on 1500 trajectories of 100 slots; scores are means over 5 sets of
-20 starts, and fleets are served by channel_aware on 10 resource blocks for 4 s under process noise of .008, 5
-seeds. Writes docs/results/hierarchy.json and .md; what is done stands in a journal beside the models, so that a
-second start goes on.
+20 starts, with one slot without force before the first (the zoo's card has three), and fleets are served by
+channel_aware on 10 resource blocks for 4 s under process noise of .008, 5 seeds. Writes docs/results/hierarchy.json
+and .md; what is done stands in a journal beside the models, so that a second start goes on.
 """
 
 import argparse

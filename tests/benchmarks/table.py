@@ -272,9 +272,9 @@ PARTS: dict[str, Callable[[dict], Iterator[Row]]] = {
 HEAD = ("what", "figure", "peer or limit", "ratio: median (range)", "target", "met", "commit")
 ABOVE = """# Benchmarks
 
-Made by `make bench`. A row is as old as its commit: version 0.2 begins on 2026-11-25, and what was measured before is
-version 0.1's. What is of a model is of the entry as it was then. The list below the table has the date, the machine
-and the command of each file.
+Made by `make bench`, but for the files `radio` and `commits`, which compare with an older checkout. A row is as old as
+its commit: version 0.2 begins on 2026-11-25, and what was measured before is version 0.1's. What is of a model is of
+the entry as it was then. The list below the table has the date, the machine and the command of each file.
 
 """
 

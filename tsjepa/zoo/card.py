@@ -46,7 +46,7 @@ USE = (
 LIMITS = (
     "It has seen one {seen} through one camera ({stack} frames of {height} x {width}, {interval:g} ms apart): "
     "another camera, machine or slot length needs a model of its own, and nothing here was tried on hardware.{plant} "
-    "Colours and light other than the training's were not tested."
+    "What other colours, light and cameras cost some of the entries is in docs/results/robustness.md."
 )
 
 
