@@ -111,6 +111,11 @@ def test_nothing_long_enough_says_which_slots_would_do(tmp_path):
         run(make.lerobot_v2(tmp_path / "recording", [9]), tmp_path / "set", slots=100)
 
 
+def test_a_seed_below_zero_is_refused_before_pictures_are_read(tmp_path):
+    with pytest.raises(ValueError, match="seed is -1"):
+        run(tmp_path / "recording", tmp_path / "set", seed=-1)
+
+
 def test_pictures_that_cannot_be_decoded_end_an_episode_and_the_rest_is_imported(tmp_path):
     path = make.numbered_pictures(tmp_path / "recording", 14)
     (path / "frame11.png").write_bytes(b"no picture")

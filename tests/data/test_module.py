@@ -53,3 +53,19 @@ def test_pairs_are_taken_from_data_that_has_them_only(path, in_views):
     assert next(iter(data.train_dataloader()))["target_patches"].shape == (4, 4, 16, 32, 96)
     with pytest.raises(ValueError, match=r"the split train of .* has 1; collect it with views: 2"):
         Trajectories(path, paired=True).setup("fit")
+
+
+def test_splits_of_different_lengths_are_refused_before_the_fit(tmp_path):
+    folder = tiny_data.write(tmp_path / "data", slots=12, train=4, validation=3)
+    tiny_data.write(tmp_path / "short", slots=7, starts=2)
+    (tmp_path / "short" / "starts").rename(folder / "starts")
+    metadata = json.loads((folder / METADATA).read_text())
+    metadata["splits"]["starts"] = json.loads((tmp_path / "short" / METADATA).read_text())["splits"]["starts"]
+    (folder / METADATA).write_text(json.dumps(metadata))
+    with pytest.raises(ValueError, match=r"different lengths, in slots train 12, starts 7: train on splits of one"):
+        Trajectories(folder, splits=["train", "starts"]).setup("fit")
+    Trajectories(folder).setup("fit")  # which has the other split for its finish
+    with pytest.raises(ValueError, match="splits is empty"):
+        Trajectories(folder, splits=[])
+    with pytest.raises(KeyError, match="has no split 'tain'"):
+        Trajectories(folder, splits=["tain"], paired=True).setup("fit")

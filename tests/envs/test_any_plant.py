@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import re
 import sys
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from tsjepa.envs import FleetEnv, Radio, make_env, make_policy
 from tsjepa.envs.make import check_fit
 from tsjepa.models import Actor, Encoder, Predictor, SemanticController
 from tsjepa.plants import CartPole, DoubleCartPole, MuJoCo, Pendulum, Reacher, Suite, build_plant, describe_plant
+from tsjepa.radio import SCHEDULERS, gated
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "plants"))
 import acrobot
@@ -106,3 +108,14 @@ def test_the_acrobot_is_held_up_and_comes_back_from_plain_values():
 def test_the_page_and_the_plant_written_from_it_are_short():
     lines = Path(acrobot.__file__).read_text().splitlines()
     assert len(lines) <= 100 and "tsjepa.envs" not in "\n".join(lines)
+
+
+@pytest.mark.parametrize("wrap", [gated, lambda scheduler: partial(gated(scheduler))])
+@pytest.mark.parametrize("name", ["urgency", "first_contact", "expected_urgency", "genie", "whittle_cost"])
+def test_a_scheduler_by_need_gets_what_it_needs_within_other_functions_too(name, wrap):
+    radio = Radio(resource_blocks=2, snr_target_db=60.0)  # with every device above the threshold the gate does nothing
+    plant, runs = CartPole(process_noise_std=0.008), []
+    for scheduler in (name, wrap(SCHEDULERS[name])):
+        env = make_env(plant, 4, scheduler, radio, "linear", slots=20)
+        runs.append(env.rollout(20, make_policy(plant, "linear")))
+    assert torch.equal(runs[0]["scheduled"], runs[1]["scheduled"])

@@ -207,6 +207,8 @@ def test_imagining_lets_the_model_drive_itself_towards_its_set_points():
 def test_one_seed_gives_no_interval_and_is_refused(model, tmp_path):
     with pytest.raises(ValueError, match="seeds is 1; it has to be at least 2"):
         evaluate(model, output=str(tmp_path), **{**SMALL, "seeds": 1})
+    with pytest.raises(ValueError, match="periods is empty"):
+        evaluate(model, output=str(tmp_path), **{**SMALL, "periods": []})
 
 
 def test_a_device_that_is_not_there_and_a_plant_that_does_not_fit_are_said_in_one_sentence(model, tmp_path, capsys):

@@ -91,6 +91,7 @@ def test_every_column_is_drawn_and_a_gap_is_said(tmp_path, capsys):
         (["simulate", "a.csv", "b.csv"], "takes a table alone"),
         (["draw", "a.csv"], "takes a file to read and one to write"),
         (["draw", "a.csv", "b.png"], "a.csv"),
+        (["draw", "a.csv", "b.txt"], "picture that ends in .png, .svg, .pdf"),
         (["simulate", "a.csv", "--slot_s", "0"], "slot_s 0"),
         (["simulate", "a.csv", "--radio.lossless", "true"], "has no links"),
     ],

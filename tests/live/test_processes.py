@@ -118,6 +118,8 @@ def test_a_device_without_a_controller_waits_and_ends(deployed):
         (["device", "GRAPHS", "--camera", "none.mp4"], "OpenCV opens no camera"),
         (["device", "GRAPHS", "--camera", "FILM", "--actuator", "os.system"], "add --trust"),
         (["device", "GRAPHS", "--camera", "FILM", "--num_devices", "2"], "is one device"),
+        (["device", "GRAPHS", "--actuator", "my.function"], "The actuator my.function needs a camera"),
+        (["device", "GRAPHS", "--episode_slots", "0"], "episode_slots is 0"),
         (["device", "GRAPHS", "--safe", "[30]"], "is not between"),
         (["device", "GRAPHS", "--realtime_factor", "0"], "have to be above 0"),
         (["controller", "GRAPHS", "--buffer", "256"], "buffer is 256"),

@@ -58,3 +58,8 @@ def test_nothing_counts_from_a_fall_on():
     assert summary["fallen"] == 2
     assert summary["raw_score"] < 0.2
     assert bool(CartPole().failed(mine.state).all())
+
+
+def test_an_episode_has_slots():
+    with pytest.raises(ValueError, match="episode_slots is 0"):
+        SimulatedPlants(PLANT, np.arange(1), SEED, 0, 1, 2, 1)

@@ -11,7 +11,7 @@ from world import Graphs, Machine, World
 
 from tsjepa.live import packet
 from tsjepa.live.link import Link
-from tsjepa.live.packet import LARGEST, UPDATE, Header, Update
+from tsjepa.live.packet import LARGEST, UPDATE, Dropped, Header, Update
 from tsjepa.live.port import DROPS
 from tsjepa.live.seal import Seal, read_key
 
@@ -259,3 +259,15 @@ def test_a_device_takes_nothing_that_its_controller_did_not_send(live):
     live.run(3)
     assert 9.0 not in applied(device)
     assert device.port.drops["stale"] == 1
+
+
+@pytest.mark.parametrize("slot", [2**31 - 1, -(2**31)])
+def test_an_update_of_a_slot_that_no_command_can_follow_is_dropped(live, slot):
+    controller, device = live.control(), live.device()
+    live.run(5)
+    header = device.links[0].header(UPDATE, slot)
+    datagram = Seal(None).close(header, Update(0, bytes(controller.graphs.payload_bytes)).pack())
+    with pytest.raises(Dropped, match="range"):
+        controller.hear(datagram, ("device", 1))
+    live.run(5)
+    assert controller.counts["updates"] >= 9

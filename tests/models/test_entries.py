@@ -333,3 +333,14 @@ def test_a_fit_stores_its_model_with_a_figure_that_is_no_number_as_null(tmp_path
     ExportModel().on_fit_end(trainer, module)
     stored = json.loads((tmp_path / "model" / METRICS).read_text())
     assert (stored["loss"], stored["rank"]) == (0.5, None)
+
+
+@pytest.mark.parametrize("there", ["thesis.tex", "README.md", "config.yaml"])
+def test_a_folder_of_something_else_is_not_replaced(tmp_path, there):
+    (tmp_path / "work").mkdir()
+    (tmp_path / "work" / there).write_text("mine")
+    with pytest.raises(FileExistsError, match="work is there and is no stored model: choose a folder"):
+        entries.save(tiny(), tmp_path / "work")
+    assert (tmp_path / "work" / there).read_text() == "mine"
+    (tmp_path / "empty").mkdir()
+    assert entries.load(entries.save(tiny(), tmp_path / "empty"))

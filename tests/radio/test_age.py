@@ -135,6 +135,12 @@ def test_unequal_links():
     assert trace.deliveries[0, :5].min() > 10 * trace.deliveries[0, 5:].max()
 
 
+@pytest.mark.parametrize("success", [0.3, 1.0])
+def test_a_large_fleet_has_the_closed_form_of_many_candidates(success):
+    devices, blocks = 5000, 10  # nearly always more than ten would succeed
+    assert mean_age_opportunistic(devices, blocks, success) == pytest.approx(devices / blocks, rel=1e-9)
+
+
 def test_bad_input_is_rejected():
     with pytest.raises(ValueError, match="unknown csi"):
         simulate_ages("max_age", 4, 1, 10, csi="guess")

@@ -120,3 +120,9 @@ def test_bad_input_is_rejected():
         acknowledged(torch.ones(1, dtype=torch.bool), 1.5, 0, ZERO, ZERO, ZERO)
     with pytest.raises(ValueError, match="horizon 0"):
         nothing_in_flight((1,), 0, torch.zeros(1))
+
+
+def test_a_uniform_delay_in_slots_is_of_whole_slots():
+    with pytest.raises(ValueError, match=r"low 0\.5 and high 1 must be whole numbers of slots"):
+        UniformDelay(0.5, 1.0)
+    assert UniformDelay(0.5, 1.0, "ms").low == 0.5

@@ -90,6 +90,8 @@ def test_other_bad_input_is_rejected():
         los_probability("SH", 50.0, clutter_height_m=1.5)
     with pytest.raises(ValueError, match="clutter height"):
         los_probability("DH", 50.0, clutter_height_m=10.0)
+    with pytest.raises(ValueError, match="InF-SL by the formula paper_literal needs device height < clutter height"):
+        los_probability("SL", 10.0, formula="paper_literal", clutter_height_m=1.0)
     with pytest.raises(ValueError, match="density"):
         los_probability("SL", 50.0, clutter_density=1.0)
     with pytest.raises(ValueError, match="size"):

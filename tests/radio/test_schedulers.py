@@ -8,10 +8,12 @@ import torch
 
 from tsjepa.radio import SCHEDULERS, Known, gated, grant, periodic, simulate_ages
 from tsjepa.radio.schedulers import (
+    built_in_name,
     channel_aware,
     channel_aware_literal,
     checked,
     get_scheduler,
+    layers_of,
     max_age,
     name_of,
 )
@@ -301,3 +303,17 @@ def test_a_score_that_is_not_a_number_is_never_granted(demand):
     assert grant(score, everyone, demand, 2).tolist() == [False, False, False, True, True]
     assert grant(score, everyone, demand, 4).tolist() == [False, True, False, True, True]
     assert grant(score, everyone, demand, 5).tolist() == [False, True, False, True, True]
+
+
+def everybody(known):
+    return known.candidate.clone(), known.memory
+
+
+def test_what_is_put_around_a_scheduler_hides_neither_its_name_nor_its_budget():
+    assert built_in_name(gated(partial(SCHEDULERS["channel_aware"], age_weight=2.0))) == "channel_aware"
+    assert built_in_name("urgency") == "urgency" and built_in_name(gated(everybody)) is None
+    assert layers_of(gated(everybody))[-1] is everybody and name_of(gated(everybody)) == "gated(everybody)"
+    for scheduler in (everybody, gated(everybody)):
+        with pytest.raises(ValueError, match=r"everybody\)? granted up to . units beyond the budget"):
+            simulate_ages(scheduler, 10, 2, 50)
+    assert checked(gated(max_age)).__name__ == "gated(max_age)"  # held to nothing more, as it is this package's own

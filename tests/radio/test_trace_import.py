@@ -231,3 +231,34 @@ def test_what_import_writes_is_what_the_radio_reads(tmp_path):
     np.testing.assert_array_equal(np.flatnonzero(trace.values["lost"].numpy()), [7, 8])
     np.testing.assert_allclose(trace.time_s.numpy(), 0.1 * np.arange(60), atol=1e-6)
     assert trace.values["delay_ms"].isnan().sum() == 2
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        ",time_s,delay_ms,rssi\n0,0.0,20,-90\n1,0.1,21,-91\n2,0.2,22,-92\n",  # as pandas writes its index
+        "time_s,,delay_ms,rssi\n0.0,x,20,-90\n0.1,x,21,-91\n0.2,x,22,-92\n",
+        'time_s,"delay (ms)",rssi\n"0,0","20,0","-90,0"\n"0,1","21,0","-91,0"\n"0,2","22,0","-92,0"\n',
+        "time_s;delay_ms;rssi;\n0,0;20;-90;\n0,1;21;-91;\n0,2;22;-92;\n",
+    ],
+)
+def test_a_column_without_a_name_moves_no_other_and_quotes_are_read(tmp_path, text):
+    log = log_of(tmp_path / "a.csv", text)
+    np.testing.assert_allclose(log.time_s, [0, 0.1, 0.2])
+    np.testing.assert_allclose(log.columns["delay_ms"], [20, 21, 22])
+    np.testing.assert_allclose(log.columns["rsrp_dbm"], [-90, -91, -92])
+
+
+def test_a_pause_is_reported_beside_losses_and_only_once(tmp_path):
+    rows = [(0.1 * row + (60 if row >= 20 else 0), int(40 <= row < 50)) for row in range(80)]
+    text = "time_s,delay_ms,lost\n" + "".join(f"{time:.1f},20,{lost}\n" for time, lost in rows)
+    found = outages(log_of(tmp_path / "a.csv", text))
+    assert [(gap["kind"], round(gap["start_s"], 1), round(gap["duration_s"], 1)) for gap in found] == [
+        ("not logged", 1.9, 60.1),
+        ("lost", 63.9, 1.1),
+    ]
+    text = "time_s,delay_ms,lost\n" + "".join(
+        f"{0.1 * row:.1f},20,{'' if 10 <= row < 20 else 0}\n" for row in range(40)
+    )
+    (found,) = outages(log_of(tmp_path / "b.csv", text))
+    assert (found["kind"], round(found["duration_s"], 1)) == ("not logged", 1.1)

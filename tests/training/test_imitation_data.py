@@ -1,7 +1,7 @@
 import pytest
 import torch
 
-from tsjepa.training.imitation_data import RowSampler
+from tsjepa.training.imitation_data import ImitationPairs, RowSampler
 
 
 def rows(**changes) -> list[list[int]]:
@@ -36,3 +36,9 @@ def test_fewer_rows_than_a_batch_are_refused_with_both_numbers():
     assert [len(batch) for batch in rows(rows=6)] == [6]
     with pytest.raises(ValueError, match=r"give 5 rows, and batch_size = 6 takes more: make .*batch_size 5 or smaller"):
         rows(rows=5)
+
+
+@pytest.mark.parametrize(("horizons", "said"), [([], "horizons is empty"), ([0, -1], r"horizons\[1\] is -1")])
+def test_horizons_that_cannot_be_are_refused_before_the_data_are_read(horizons, said):
+    with pytest.raises(ValueError, match=said):
+        ImitationPairs("data/absent", horizons=horizons)

@@ -11,10 +11,12 @@ import tiny_controller
 import torch
 
 from tsjepa.envs import Radio
+from tsjepa.envs.settings import Downlink
 from tsjepa.evaluation.rollouts import Loop
 from tsjepa.models import Observer
 from tsjepa.plants import CartPole
 from tsjepa.radio import GilbertElliott, IidLoss
+from tsjepa.radio.delay import ConstantDelay
 from tsjepa.watch.command import check_port, first_setting, watch
 from tsjepa.watch.fleet import DOWN_S, PUSH_SLOTS, RunningFleet
 from tsjepa.watch.setting import Setting
@@ -171,3 +173,15 @@ def test_a_port_that_cannot_be_had_is_named_with_the_reason(monkeypatch):
 def test_a_port_that_is_none_is_refused(port):
     with pytest.raises(ValueError, match=f"port is {port}"):
         watch(port=port)
+
+
+@pytest.mark.parametrize("downlink", [{}, {"downlink": Downlink(delay=ConstantDelay(2), buffer=2)}])
+def test_a_fleet_goes_on_over_a_radio_that_delays(downlink):
+    radio = Radio(resource_blocks=2, delay=ConstantDelay(2), **downlink)
+    running = RunningFleet(Loop(PLANT, "linear", slots=2**31, radio=radio, frame_history=2), SETTING)
+    run(running, 40)
+    running.change(replace(SETTING, snr_db=15.0))
+    received = running.now["received_slot"].clone()
+    run(running, 1)
+    assert torch.equal(running.now["received_slot"], received)  # what was on its way is gone
+    assert 3 <= run(running, 10).snapshot().age.max() <= 6

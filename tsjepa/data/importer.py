@@ -71,6 +71,7 @@ def import_recording(
         FileNotFoundError, FileExistsError, ValueError: one sentence that says what to mend.
     """
     at_least(1, slots=slots)
+    at_least(0, seed=seed)
     within(0, 0.9, validation=validation, test=test, both=validation + test)
     if slot is not None and not 1e-6 <= slot <= 3600:
         raise ValueError(f"slot is {slot}; it is a time in seconds, such as 0.02.")

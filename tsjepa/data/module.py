@@ -61,6 +61,8 @@ class Trajectories(lightning.LightningDataModule):
             1, frame_stack=frame_stack, frame_spacing=frame_spacing, stacks=stacks, frames_per_batch=frames_per_batch
         )
         at_least(1, **{f"steps[{index}]": step for index, step in enumerate(steps)})
+        if not splits:
+            raise ValueError("splits is empty; give at least one, such as [train].")
         if not steps:
             raise ValueError("steps is empty; give at least one, such as [1].")
         if episodes is not None:
@@ -98,6 +100,13 @@ class Trajectories(lightning.LightningDataModule):
         self.metadata = read_metadata(self.path)
         self.spec = spec_of(self.metadata)
         if stage == "fit":
+            slots = {name: self.split(name).shape[1] - 1 for name in self.splits}
+            if len(set(slots.values())) > 1:
+                told = ", ".join(f"{name} {count}" for name, count in slots.items())
+                raise ValueError(
+                    f"The splits of {self.path} have trajectories of different lengths, in slots {told}: train on "
+                    "splits of one length."
+                )
             for name in self.splits if self.paired else ():
                 if self.views(name) != 2:
                     raise ValueError(

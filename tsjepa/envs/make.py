@@ -83,7 +83,7 @@ def make_env(
     Raises:
         ValueError: an argument that does not fit the others.
     """
-    # a built-in scheduler may be given as the function: what is put around it goes by its name
+    # a built-in scheduler may be given as the function
     scheduler = next((name for name, function in SCHEDULERS.items() if function is scheduler), scheduler)
     model = controller if isinstance(controller, Controller) else None
     if model is not None:

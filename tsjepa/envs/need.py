@@ -27,7 +27,7 @@ from tsjepa.envs.weights import at_weights
 from tsjepa.models import Controller
 from tsjepa.plants.plant import Plant
 from tsjepa.radio.cost import surviving_cost_table
-from tsjepa.radio.schedulers import SCHEDULERS, SchedulerFunction
+from tsjepa.radio.schedulers import SchedulerFunction, built_in_name, name_of
 from tsjepa.support.deal import deal
 
 SAID, FIRST, EXPECTED, TRUE = "urgency", "first_contact", "expected_urgency", "genie"
@@ -47,8 +47,9 @@ def watched(
 ) -> list[nn.Module]:
     """The chain with what its scheduler needs in front of it; the same chain where it needs nothing of the kind.
 
-    Devices watch all the time for the schedulers "urgency", "first_contact" and "genie", and for one of the user's own
-    where ``radio.requests`` is given: then camera and encoder stand before the scheduler.
+    Devices watch all the time for the schedulers "urgency", "first_contact" and "genie", gated or with options of their
+    own too, and for one of the user's own where ``radio.requests`` is given: then camera and encoder stand before the
+    scheduler.
 
     Args:
         chain: from the channel to the far end.
@@ -59,29 +60,30 @@ def watched(
     """
     place = next(index for index, part in enumerate(chain) if isinstance(part, Scheduler))
     received = "embedding" if sends_frames(radio.codec) else "received"
-    if scheduler in BY_COST:
+    name = built_in_name(scheduler)
+    if name in BY_COST:
         failed, age = twin_of(chain[-1], plant, controller).failed, chain[place].outcome_keys[1]
         return [*chain[:place], AgeCost(*cost_of_age(plant, num_devices), failed, received, age), *chain[place:]]
-    asks = scheduler in NAMES if scheduler in SCHEDULERS else radio.requests is not None
+    asks = radio.requests is not None if name is None else name in NAMES
     if not asks:
         return chain
     twin = twin_of(chain[-1], plant, controller)
     if any(isinstance(part, Actuator) and not part.acknowledged for part in chain):
         twin = replace(twin, action_key="sent_command")
-    if scheduler == EXPECTED:
+    if name == EXPECTED:
         return [*chain[:place], ExpectedGain(twin, received), *chain[place:]]
     sees = [part for part in chain if isinstance(part, (Camera, Observe)) or _encodes_pixels(part)]
     if sees and isinstance(sees[-1], Camera):
         raise ValueError(
-            f"The scheduler {scheduler!r} compares embeddings, which a device that sends frames (codec "
+            f"The scheduler {name_of(scheduler)!r} compares embeddings, which a device that sends frames (codec "
             f"{radio.codec!r}) does not make: choose a codec of embeddings."
         )
     key = "embedding" if sees else "state"
     requests = Requests() if radio.requests is None else radio.requests
-    if scheduler == TRUE:
+    if name == TRUE:
         says = Urgency(twin, key)
     else:
-        first = scheduler == FIRST
+        first = name == FIRST
         code, outcome = requests.code(), chain[place].outcome_keys[0]
         says = Urgency(twin, key, code, requests.delay, first, requests.change, outcome)
     links, rest = ([part for part in half if part not in sees] for half in (chain[:place], chain[place:]))

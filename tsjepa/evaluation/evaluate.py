@@ -86,6 +86,8 @@ def evaluate(
         ValueError: an argument that cannot be, or neither a plant nor data.
         FileNotFoundError: there is no such model or data set.
     """
+    if not periods:
+        raise ValueError("periods is empty; give at least one, such as [1, 5, 10].")
     at_least(0, **{f"periods[{i}]": period for i, period in enumerate(periods)})
     within(0, 1, blend=blend)
     if record is not None:

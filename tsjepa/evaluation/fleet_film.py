@@ -11,6 +11,7 @@ from tsjepa.evaluation.films import write_video
 from tsjepa.evaluation.metrics import Run
 from tsjepa.evaluation.shown import Shown
 from tsjepa.plants.plant import Plant
+from tsjepa.support.files import whole
 
 TILE_WIDTH = 96  # pixels
 BORDER = 4
@@ -35,7 +36,8 @@ def fleet_film(fleets: dict[str, Shown], plant: Plant, folder: Path) -> None:
     ]
     write_video(folder / "fleet.mp4", frames)
     pictures = [Image.fromarray(frame[..., ::-1]).quantize(64, dither=Image.Dither.NONE) for frame in frames[::5]]
-    pictures[0].save(folder / "fleet.gif", save_all=True, append_images=pictures[1:], duration=200, loop=0)
+    with whole(folder / "fleet.gif", ".gif") as partial:
+        pictures[0].save(partial, save_all=True, append_images=pictures[1:], duration=200, loop=0)
 
 
 def tile_size(frame: tuple[int, int]) -> tuple[int, int]:

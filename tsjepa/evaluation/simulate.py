@@ -25,7 +25,7 @@ from tsjepa.evaluation.rollouts import Loop, optimal_scores, run
 from tsjepa.evaluation.shown import shown_run
 from tsjepa.models import Controller
 from tsjepa.plants import Plant, describe_plant
-from tsjepa.radio.schedulers import SchedulerFunction, get_scheduler, name_of
+from tsjepa.radio.schedulers import SchedulerFunction, get_scheduler, layers_of, name_of
 from tsjepa.radio.traces import describe, read_trace
 from tsjepa.support.checks import at_least
 from tsjepa.support.files import write_json, write_text
@@ -157,8 +157,8 @@ def simulate(
     if num_devices is not None:
         result["fleet"] = one_fleet(experiment, num_devices, video, record)
     if search_over:
-        plain = [scheduler.func if isinstance(scheduler, partial) else scheduler for scheduler in functions]
-        result["search"] = search(experiment, search_over, code_hash(type(machine), *plain), search_resolution)
+        layers = [layer for scheduler in functions for layer in layers_of(scheduler) if not isinstance(layer, partial)]
+        result["search"] = search(experiment, search_over, code_hash(type(machine), *layers), search_resolution)
     print(f"Figures and plots are in {folder}.")
     return result
 

@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from tsjepa.support.files import whole
+
 # Okabe and Ito's colours, told apart by colour-blind readers
 PALETTE = ("#D55E00", "#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#5D3A9B", "#8C6D31", "#999999")
 METHODS = {
@@ -81,5 +83,6 @@ def save(figure: Any, path: str | Path, question: str) -> None:
     import matplotlib.pyplot as plt
 
     figure.suptitle(question, fontsize=12)
-    figure.savefig(path, dpi=110)
+    with whole(path, Path(path).suffix) as partial:
+        figure.savefig(partial, dpi=110)
     plt.close(figure)

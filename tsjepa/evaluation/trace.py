@@ -12,6 +12,8 @@ from tsjepa.radio.trace_picture import draw_trace
 from tsjepa.radio.traces import describe, read_trace, write_trace
 from tsjepa.support.checks import at_least
 
+PICTURES = (".png", ".svg", ".pdf")
+
 
 def trace(
     action: Literal["import", "simulate", "draw"],
@@ -54,6 +56,8 @@ def trace(
     if (output is None) != (action == "simulate"):
         needs = "a table alone" if action == "simulate" else "a file to read and one to write"
         raise ValueError(f"tsjepa trace {action} takes {needs}.")
+    if action == "draw" and Path(str(output)).suffix not in PICTURES:
+        raise ValueError(f"output is {output}; it is the name of a picture that ends in {', '.join(PICTURES)}.")
     if action == "import":
         return import_trace(path, output, column, period_s)
     if action == "simulate":

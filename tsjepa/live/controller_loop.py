@@ -22,6 +22,7 @@ STAGES = ("receive", "send", "receive to command")
 TICKS = 8  # in a slot, at which commands that are due are sent
 PATIENCE = 0.25  # of a slot, for which an update is waited for before its device is predicted
 EARLIEST_OF = 32  # updates, or twice as many, tell when an update is due: a network that slows down is followed
+LAST_SLOT = 2**31 - 1024  # of an update: the commands for the slots after it still have a number in a header
 HELLO_S = 0.01  # between two hellos to one device
 
 
@@ -98,6 +99,8 @@ class Controller:
             if header.device >= len(self.links) or header.kind == COMMAND:
                 raise Dropped("device" if header.device >= len(self.links) else "kind")
             update = read_update(body, self.graphs.payload_bytes) if header.kind == UPDATE else None
+            if update is not None and not 0 <= header.slot <= LAST_SLOT:
+                raise Dropped("range")
             link = self.links[header.device]
             try:
                 link.accept(header)

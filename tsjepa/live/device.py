@@ -80,6 +80,10 @@ def device(
     within(0, LAST_DEVICE + 1 - num_devices, number=number)
     if not realtime_factor > 0 or not watchdog_ms > 0:
         raise ValueError(f"realtime_factor {realtime_factor} and watchdog_ms {watchdog_ms} have to be above 0.")
+    if actuator is not None and camera is None:
+        raise ValueError(
+            f"The actuator {actuator} needs a camera; without one a plant is simulated, which has its own."
+        )
     run = Graphs(graphs, ["device"], reference=None)
     numbers = list(range(number, number + num_devices))
     # what is wrong is told before a camera is opened and a file begun

@@ -45,7 +45,7 @@ class SimulatedPlants:
         frame_stack: int,
         frame_spacing: int,
     ) -> None:
-        at_least(1, frame_history=frame_history)
+        at_least(1, frame_history=frame_history, **({} if episode_slots is None else {"episode_slots": episode_slots}))
         self.plant = build_plant(plant)
         self.devices, self.seed, self.episode_slots = devices, HELD_OUT + seed, episode_slots
         self.spacing, self.span = frame_spacing, (frame_stack - 1) * frame_spacing + 1

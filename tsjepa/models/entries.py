@@ -184,7 +184,7 @@ def save(
 
     Args:
         model: a controller, of whose parts each keeps its arguments (see :func:`tsjepa.support.description.describe`).
-        folder: replaced if it is there.
+        folder: made, or replaced where it holds an earlier entry.
         metrics: figures for ``metrics.json``.
         card: text of the model card.
         dtype: of the weights, "float32" or "float16". Statistics (all buffers) stay in 32 bits, and so does a weight
@@ -193,12 +193,14 @@ def save(
     Raises:
         ValueError: another dtype, a part of the model that cannot be described, or a weight or figure that is not
             finite; what was there stays.
-        FileExistsError: another process is writing the same entry.
+        FileExistsError: ``folder`` holds something else, or another process is writing the same entry.
         OSError: no room, or no right to write; what was there stays.
     """
     if dtype not in WEIGHT_DTYPES:
         raise ValueError(f"Weights are stored as {' or '.join(WEIGHT_DTYPES)}, not as {dtype!r}.")
     folder = Path(folder)
+    if not _may_be_replaced(folder):
+        raise FileExistsError(f"{folder} is there and is no stored model: choose a folder that may be replaced.")
     weights = _stored(model, WEIGHT_DTYPES[dtype])
     texts = {
         CONFIG: yaml.safe_dump(configuration(model), sort_keys=False),
@@ -216,6 +218,13 @@ def save(
             raise OSError(f"The model could not be written to {folder} ({error}); what was there is whole.") from error
         replace_folder(partial, folder)
     return folder
+
+
+def _may_be_replaced(folder: Path) -> bool:
+    """Whether nothing but a model is lost; the files that others have too, such as a README, do not make one."""
+    if not folder.is_dir():
+        return not folder.exists()
+    return not any(folder.iterdir()) or any((folder / name).is_file() for name in (WEIGHTS, MANIFEST))
 
 
 def _write(partial: Path, texts: dict[str, str], weights: dict[str, torch.Tensor]) -> None:

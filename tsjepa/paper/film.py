@@ -19,6 +19,7 @@ from tsjepa.evaluation.metrics import Run
 from tsjepa.evaluation.rollouts import Loop
 from tsjepa.paper.rows import SAMPLING_INTERVAL, load, plant_of
 from tsjepa.plants.cartpole import FAILURE_POSITION
+from tsjepa.support.files import whole
 
 WIDTH, MARGIN, GAP = 800, 12, 24
 HEAD, FOOT = 92, 46
@@ -79,7 +80,8 @@ def film(
     path = Path(output) / "fleet.gif"
     path.parent.mkdir(parents=True, exist_ok=True)
     held = [frame_ms] * (len(pictures) - 1) + [1500]  # on the last picture, before it begins again
-    pictures[0].save(path, save_all=True, append_images=pictures[1:], duration=held, loop=0, optimize=True)
+    with whole(path, ".gif") as partial:
+        pictures[0].save(partial, save_all=True, append_images=pictures[1:], duration=held, loop=0, optimize=True)
     print(f"{path}: {len(pictures)} pictures, {path.stat().st_size / 1e6:.1f} MB.")
 
 

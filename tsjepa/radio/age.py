@@ -3,9 +3,9 @@
 Throughout, the age is 1 in the slot of a delivery, devices are symmetric, slots independent with success probability p.
 """
 
-from math import comb
-
+import numpy as np
 import torch
+from scipy.stats import binom
 from torch import Tensor
 
 
@@ -32,10 +32,8 @@ def mean_age_random(num_devices: int, resource_blocks: int, success: float) -> f
 def mean_deliveries(num_devices: int, resource_blocks: int, success: float) -> float:
     """m = E[min(J, Bin(I, p))]: deliveries per slot when J devices are picked among those that would succeed."""
     _check(num_devices, resource_blocks, success)
-    return sum(
-        min(resource_blocks, n) * comb(num_devices, n) * success**n * (1 - success) ** (num_devices - n)
-        for n in range(num_devices + 1)
-    )
+    n = np.arange(num_devices + 1)
+    return float(np.minimum(resource_blocks, n) @ binom.pmf(n, num_devices, success))
 
 
 def mean_age_opportunistic(num_devices: int, resource_blocks: int, success: float) -> float:

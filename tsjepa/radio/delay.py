@@ -52,6 +52,8 @@ class UniformDelay:
         _check(self.unit, low=self.low, high=self.high)
         if self.high < self.low:
             raise ValueError(f"high {self.high:g} must be at least low {self.low:g}")
+        if self.unit == "slots" and not (float(self.low).is_integer() and float(self.high).is_integer()):
+            raise ValueError(f"low {self.low:g} and high {self.high:g} must be whole numbers of slots: or give ms")
 
     def draw(self, seed: int, device: Tensor, episode: Tensor, slot: Tensor, stream: str = "delay") -> Tensor:
         share = uniform(seed, stream, device, episode, slot)

@@ -76,6 +76,7 @@ def _granted(score: Tensor, known: Known) -> tuple[Tensor, Tensor]:
 def _wanted(value: Tensor | None, field: str, what: str) -> Tensor:
     if value is None:
         raise ValueError(
-            f"this scheduler decides by known.{field}, {what}, which nothing writes here: run it in a fleet of plants"
+            f"this scheduler decides by known.{field}, {what}, which nothing writes here: run it in a fleet of plants, "
+            "and give Radio its requests where a scheduler of your own calls this one"
         )
     return value

@@ -111,7 +111,7 @@ def los_probability(
         distance_2d_m: horizontal distance, any shape, at least 0.
         clutter_density: share of the floor under clutter, in (0, 1).
         clutter_size_m, clutter_height_m: size and height of a clutter element.
-        base_station_height_m, device_height_m: antenna heights; only SH and DH use the three heights.
+        base_station_height_m, device_height_m: antenna heights; only SH, DH and the printed form use the three heights.
         formula: "38.901", or "paper_literal" for the printed form, whose height ratio multiplies the exponent
             instead of stretching k.
 
@@ -119,7 +119,7 @@ def los_probability(
         Probability, float64.
 
     Raises:
-        ValueError: a parameter outside its range, or for SH and DH not device < clutter < base station height.
+        ValueError: a parameter outside its range, or where heights are used not device < clutter < base station height.
     """
     high = get_scenario(scenario).high_base_station
     distance = torch.as_tensor(distance_2d_m, dtype=torch.float64)
@@ -129,15 +129,16 @@ def los_probability(
         raise ValueError(f"clutter density {clutter_density:g} must lie strictly between 0 and 1")
     if not clutter_size_m > 0.0:
         raise ValueError(f"clutter size {clutter_size_m:g} m must be positive")
-    if high and not device_height_m < clutter_height_m < base_station_height_m:
-        raise ValueError(
-            f"InF-{scenario} needs device height < clutter height < base station height, "
-            f"got {device_height_m:g}, {clutter_height_m:g}, {base_station_height_m:g} m"
-        )
     if formula not in ("38.901", "paper_literal"):
         raise ValueError(f"unknown LoS formula {formula!r}: choose '38.901' or 'paper_literal'")
+    uses_heights = high or formula == "paper_literal"
+    if uses_heights and not device_height_m < clutter_height_m < base_station_height_m:
+        raise ValueError(
+            f"InF-{scenario} by the formula {formula} needs device height < clutter height < base station height, "
+            f"got {device_height_m:g}, {clutter_height_m:g}, {base_station_height_m:g} m"
+        )
     reach = -clutter_size_m / math.log1p(-clutter_density)
-    if high or formula == "paper_literal":
+    if uses_heights:
         ratio = (base_station_height_m - device_height_m) / (clutter_height_m - device_height_m)
         reach = reach / ratio if formula == "paper_literal" else reach * ratio
     return torch.exp(-distance / reach)

@@ -10,7 +10,7 @@ is usually a score handed to :func:`tsjepa.radio.grant.grant`; ties go to the de
 
 import inspect
 from collections.abc import Callable
-from functools import partial
+from functools import partial, wraps
 
 import torch
 from torch import Tensor
@@ -163,6 +163,7 @@ def none(known: Known):
 def gated(scheduler: SchedulerFunction) -> SchedulerFunction:
     """The same scheduler, allowed to pick only devices whose SNR may reach the threshold, given what is known."""
 
+    @wraps(scheduler)
     def gated_scheduler(known: Known):
         return scheduler(known._replace(candidate=known.candidate & known.above_threshold))
 
@@ -214,6 +215,18 @@ def get_scheduler(scheduler: str | SchedulerFunction) -> SchedulerFunction:
         raise ValueError(f"a scheduler is a function of one argument, known, not {scheduler!r}")
     _check_signature(scheduler)
     return scheduler
+
+
+def layers_of(scheduler: SchedulerFunction) -> list[SchedulerFunction]:
+    """The scheduler, and what :func:`gated`, ``functools.partial`` or ``functools.wraps`` were put around, in turn."""
+    inner = scheduler.func if isinstance(scheduler, partial) else getattr(scheduler, "__wrapped__", None)
+    return [scheduler] if inner is None else [scheduler, *layers_of(inner)]
+
+
+def built_in_name(scheduler: str | SchedulerFunction) -> str | None:
+    """The name in :data:`SCHEDULERS` of what decides, within all its layers; None of one that is the user's own."""
+    decides = layers_of(get_scheduler(scheduler))[-1]
+    return next((name for name, function in SCHEDULERS.items() if function is decides), None)
 
 
 def name_of(scheduler: str | SchedulerFunction) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
 
@@ -139,20 +140,22 @@ def outages(log: Log) -> list[dict]:
     Each has ``start_s``, ``duration_s`` (from the last row before to the first after) and ``kind``: "lost" or
     "not logged".
     """
-    found, time = [], log.time_s
-    lost = log.columns.get("lost")
-    if lost is not None:
-        arrived = np.flatnonzero(lost < 1)
-        edges = np.concatenate([[-1], arrived, [len(lost)]])
-        for before, after in pairwise(edges):
-            if after - before > OUTAGE:
-                start, end = time[max(before, 0)], time[min(after, len(time) - 1)]
-                found.append({"start_s": float(start), "duration_s": float(end - start), "kind": "lost"})
-    else:
-        for place in np.flatnonzero(np.diff(time) > OUTAGE * log.period_s):
-            pause = float(time[place + 1] - time[place])
-            found.append({"start_s": float(time[place]), "duration_s": pause, "kind": "not logged"})
-    return sorted(found, key=lambda outage: -outage["duration_s"])
+    time, lost = log.time_s, log.columns.get("lost", np.zeros(len(log.time_s)))
+    found = [(start, end, "lost") for start, end in _stretches(time, lost >= 1)]
+    found += [(start, end, "not logged") for start, end in _stretches(time, np.isnan(lost))]
+    for place in np.flatnonzero(np.diff(time) > OUTAGE * log.period_s):
+        start, end = float(time[place]), float(time[place + 1])
+        if not any(before <= start and end <= after for before, after, _ in found):
+            found.append((start, end, "not logged"))
+    listed = [{"start_s": start, "duration_s": end - start, "kind": kind} for start, end, kind in found]
+    return sorted(listed, key=lambda outage: -outage["duration_s"])
+
+
+def _stretches(time: np.ndarray, rows: np.ndarray) -> Iterator[tuple[float, float]]:
+    """From the row before to the row after each run of at least OUTAGE ``rows`` (bool)."""
+    for before, after in pairwise([-1, *np.flatnonzero(~rows), len(rows)]):
+        if after - before > OUTAGE:
+            yield float(time[max(before, 0)]), float(time[min(after, len(time) - 1)])
 
 
 def write_table(path: Path, logs: list[Log]) -> None:

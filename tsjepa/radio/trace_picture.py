@@ -7,6 +7,7 @@ from pathlib import Path
 import torch
 
 from tsjepa.radio.traces import Trace
+from tsjepa.support.files import whole
 
 LISTED = 8  # devices with a line of their own
 LABELS = {
@@ -39,7 +40,8 @@ def draw_trace(path: str | Path, trace: Trace, title: str = "", gap_s: float = 1
     panels[-1].set_xlabel("time (s)")
     panels[0].legend(title="device", fontsize="x-small", ncols=LISTED, loc="upper right")
     figure.suptitle(title, fontsize="small", wrap=True)
-    figure.savefig(path, dpi=110)
+    with whole(path, Path(path).suffix) as partial:
+        figure.savefig(partial, dpi=110)
 
 
 def gaps(time: torch.Tensor, gap_s: float) -> list[tuple[float, float]]:

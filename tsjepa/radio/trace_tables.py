@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import re
 from pathlib import Path
 
@@ -35,24 +36,29 @@ DASH = {"-", "--", "—", "*", "n/a", "N/A"}
 def text_table(path: Path, lines: list[str]) -> Table:
     """Words separated by commas, semicolons, tabs or blanks; extra fields without a name are left out and named."""
     lines = without_comments(lines)
-    delimiter: str | None = delimiter_of(lines[0])
-    if delimiter is not None and delimiter not in lines[0]:
-        delimiter = None
-    names = [name.strip().strip('"') for name in lines[0].split(delimiter) if name.strip()]
-    if len(names) < 2 or len(lines) < 2 or len(set(names)) < len(names):
+    mark = delimiter_of(lines[0])
+    separated = mark in lines[0]
+    try:
+        cells = csv.reader(lines, delimiter=mark) if separated else map(str.split, lines)
+        header, *rows = ([cell.strip().strip('"') for cell in row] for row in cells)
+    except csv.Error as error:
+        raise ValueError(f"{path.name} is no log of a radio link that is known: {error}.") from error
+    width = len(header)
+    while width and not header[width - 1]:  # a mark at the end of every line
+        width -= 1
+    places = {name: place for place, name in enumerate(header) if name}
+    if len(places) < 2 or not rows or len(places) < sum(map(bool, header)):
         raise ValueError(f"{path.name} is no log of a radio link that is known: its first line names no columns.")
-    rows = [[cell.strip().strip('"') for cell in line.rstrip("\r\n").split(delimiter)] for line in lines[1:]]
     if _is_units(rows[0], rows[1:2]):
         units = dict(enumerate(rows.pop(0)))
-        names = [f"{name} ({units[place]})" if units.get(place) else name for place, name in enumerate(names)]
-    full = sum(len(row) >= len(names) for row in rows)
+        places = {f"{name} ({units[place]})" if units.get(place) else name: place for name, place in places.items()}
+    full = sum(len(row) >= width for row in rows)
     numbers = sum(any(NUMBER.fullmatch(cell) for cell in row) for row in rows)
-    if (delimiter is None and full < 0.9 * len(rows)) or not numbers:
+    if (not separated and full < 0.9 * len(rows)) or not numbers:
         raise ValueError(f"{path.name} is no log of a radio link that is known: its lines are no rows of a table.")
-    widths = {len([cell for cell in row[len(names) :] if cell]) for row in rows}
     table: Table = {name: np.array([row[place] if place < len(row) else "" for row in rows], dtype=object)
-                    for place, name in enumerate(names)}  # fmt: skip
-    if extra := max(widths):
+                    for name, place in places.items()}  # fmt: skip
+    if extra := max(len([cell for cell in row[width:] if cell]) for row in rows):
         table[EXTRA] = np.array([float(extra)])
     return table
 

@@ -58,13 +58,15 @@ def commit_of(folder: Path) -> str | None:
 
 
 def code_hash(*others: Any) -> str:
-    """SHA-256 over this package's source files and those that define ``others``, functions and classes of the user's.
+    """SHA-256 over this package's source files and those that define ``others``, functions, classes or instances.
 
-    Unlike a commit it also tells two states of a checkout apart that nobody has committed.
+    Unlike a commit it also tells two states of a checkout apart that nobody has committed. Code without a file, typed
+    into an interpreter, counts as another one every time.
     """
     package = Path(__file__).parent.parent
-    files = {*package.rglob("*.py"), *(Path(inspect.getfile(other)) for other in others)}
-    digest = hashlib.sha256()
+    sources = [_source(other) for other in others]
+    files = {*package.rglob("*.py"), *(source for source in sources if source is not None)}
+    digest = hashlib.sha256(os.urandom(16) if None in sources else b"")
     for file in sorted(files):
         content = file.read_bytes()
         digest.update(
@@ -72,6 +74,15 @@ def code_hash(*others: Any) -> str:
         )
         digest.update(content)
     return digest.hexdigest()
+
+
+def _source(other: Any) -> Path | None:
+    """The file that defines a function, a class, or the class of an instance; None where there is none."""
+    try:
+        file = Path(inspect.getfile(other if inspect.isroutine(other) or inspect.isclass(other) else type(other)))
+    except (TypeError, OSError):  # of a class that was typed in
+        return None
+    return file if file.is_file() else None
 
 
 def _git(folder: Path, *arguments: str) -> str | None:

@@ -36,9 +36,13 @@ def imitation_pairs(model: SemanticController, data: TensorDictBase, horizons: S
         [pairs] with ``embedding`` and the truth at its slot.
 
     Raises:
-        ValueError: a horizon is as long as the trajectories.
+        ValueError: a horizon is as long as the trajectories, or above 0 where the model has no predictor.
     """
     slots = data.batch_size[1]
+    if max(horizons) and model.predictor is None:
+        raise ValueError(
+            f"A horizon of {max(horizons)} slots needs a predictor, which the model has not: take horizons of 0 alone."
+        )
     if max(horizons) >= slots:
         raise ValueError(
             f"A horizon of {max(horizons)} slots does not fit into trajectories of {slots}; take a shorter one."
@@ -86,7 +90,13 @@ class SemanticActor(lightning.LightningModule):
         frozen = entries.load(pretrained)
         metadata = {"spec": frozen.spec.to_dict(), "plant": frozen.plant}
         self.model = new_controller(
-            frozen.encoder, frozen.predictor, metadata, frozen.frame_spacing, hidden_dims, dropout, set_points
+            frozen.encoder,
+            getattr(frozen, "predictor", None),
+            metadata,
+            frozen.frame_spacing,
+            hidden_dims,
+            dropout,
+            set_points,
         )
         self.model.observer = getattr(frozen, "observer", None)
         train_only(self.model, self.model.actor)

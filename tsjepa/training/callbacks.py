@@ -12,6 +12,7 @@ import torch
 from tensordict import TensorDictBase
 
 from tsjepa.models import entries
+from tsjepa.support.files import whole
 from tsjepa.support.precision import memory_format_of
 from tsjepa.support.provenance import machine, provenance
 from tsjepa.training.finish.callback import Finish
@@ -113,5 +114,6 @@ class WritePredictions(lightning.Callback):
         path = Path(trainer.default_root_dir) / "predictions.npz"
         path.parent.mkdir(parents=True, exist_ok=True)
         # NumPy has no bfloat16, in which mixed precision answers
-        np.savez(path, **{name: tensor.float().cpu().numpy() for name, tensor in outputs.items()})
+        with whole(path, ".npz") as partial:
+            np.savez(partial, **{name: tensor.float().cpu().numpy() for name, tensor in outputs.items()})
         print(f"Predictions ({', '.join(sorted(outputs.keys()))}) written to {path}.")

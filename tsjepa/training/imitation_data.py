@@ -9,6 +9,7 @@ from tensordict import TensorDict
 from torch.utils.data import DataLoader, Sampler
 
 from tsjepa.data.module import Trajectories, as_is
+from tsjepa.support.checks import at_least
 from tsjepa.support.seeds import derive, run_seed
 from tsjepa.training.actor import imitation_pairs
 from tsjepa.training.embeddings import embed_split
@@ -85,9 +86,12 @@ class ImitationPairs(Trajectories):
         test: str = "actor_test",
         episodes: int | None = None,
     ) -> None:
-        super().__init__(path, collect, episodes=episodes)
+        super().__init__(path, collect, episodes=episodes, splits=splits)
+        if not horizons:
+            raise ValueError("horizons is empty; give at least one, such as [0].")
+        at_least(0, **{f"horizons[{index}]": horizon for index, horizon in enumerate(horizons)})
         self.validation, self.test = validation, test
-        self.batch_size, self.horizons, self.splits = batch_size, tuple(horizons), tuple(splits)
+        self.batch_size, self.horizons = batch_size, tuple(horizons)
 
     def setup(self, stage: str | None = None) -> None:
         super().setup(stage)

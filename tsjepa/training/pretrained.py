@@ -10,7 +10,8 @@ from tsjepa.models import entries
 def start_from(name: str, **parts: nn.Module) -> None:
     """Copies an entry's weights into ``parts``, every tensor whose name and shape agree; the others keep their draw.
 
-    So an encoder of another embedding dimension starts from the entry's convolutions, with a new projection.
+    So an encoder of another embedding dimension starts from the entry's convolutions, with a new projection, and a
+    predictor from its own draw where the entry has none.
 
     Args:
         name: of a zoo entry, or the folder of one.
@@ -21,8 +22,10 @@ def start_from(name: str, **parts: nn.Module) -> None:
     """
     controller = entries.load(name)
     for part, module in parts.items():
-        own = module.state_dict()
-        given = getattr(controller, part).state_dict()
+        source = getattr(controller, part, None)
+        if source is None:
+            continue
+        own, given = module.state_dict(), source.state_dict()
         fitting = {key: value for key, value in given.items() if key in own and own[key].shape == value.shape}
         if not any(value.ndim > 1 for value in fitting.values()) and part == "encoder":
             raise ValueError(

@@ -12,12 +12,15 @@ from tsjepa.evaluation.rollouts import Loop, one_slot
 from tsjepa.evaluation.shown import believed
 from tsjepa.watch.setting import Setting, Snapshot, with_setting
 
+FLIGHTS = ("in_flight_slot", "command_flight_slot")  # -1 where no packet is
 DOWN_S = 2.0  # seconds that a device which has failed is shown before it starts anew
 MEMORY_S = 2.0  # time constant of the means that are shown
 PUSH_SLOTS = 1.5  # of the actuator's largest command: a blow that most controllers survive
-# of the machines and of what the far end knows of them; channels and queues begin anew with a new radio
+# of the machines and of what the far end knows of them; channels and queues begin anew with a new radio, and what was
+# in flight is gone
 KEPT = ("physics_state", "state", "reference", "scene", "episode", "slot")
 KEPT += ("belief", "informed", "received", "held_command", "age_of_information", "device_belief")
+KEPT += ("received_slot", "command_history", "command_buffer", "command_slot", "sent_buffer", "sent_slot")
 KEPT += ("belief_trail", "recent_commands", "predicted_slots")  # of a predictor of several strides
 
 
@@ -126,3 +129,6 @@ def carry_on(before: TensorDictBase, now: TensorDictBase) -> None:
         old, new = before.get(key, None), now.get(key, None)
         if old is not None and new is not None and old.shape[1:] == new.shape[1:]:
             new[:both] = old[:both]
+    for key in FLIGHTS:
+        if (numbers := now.get(key, None)) is not None:
+            numbers[:both] = -1
