@@ -31,7 +31,7 @@ help: ## print this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "%-18s %s\n", $$1, $$2}' Makefile
 
 setup: $(STAMP) ## create the environment in .venv and install everything into it
-	@grep -q tsjepa $(BIN)/lightning || $(BIN)/python -m pip install -q --no-deps -e .
+	@grep -q tsjepa.cli $(BIN)/lightning || $(BIN)/python -m pip install -q --no-deps -e .
 
 $(STAMP): pyproject.toml
 	@if ! $(BIN)/python -c 'import pip' 2>/dev/null; then \

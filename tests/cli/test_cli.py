@@ -7,14 +7,19 @@ import shlex
 import subprocess
 import sys
 from itertools import pairwise
+from pathlib import Path
 
 import pytest
+import tiny
+import tiny_controller
+import tiny_data
 
 from tsjepa import cli
 from tsjepa.cli import command_line, doctor
 from tsjepa.cli.afterwards import STEPS, next_step
 from tsjepa.cli.errors import explain
 from tsjepa.data import storage
+from tsjepa.models import entries
 from tsjepa.plants import CartPole, Pendulum, Reacher
 from tsjepa.support import recipes
 from tsjepa.support.gl import missing_backend_message
@@ -112,7 +117,6 @@ def test_json_is_all_that_stands_on_standard_output(capsys):
 @pytest.mark.parametrize(
     ("command", "values", "result"),
     [
-        ("fit", {}, {"acts": False, "model": "runs/jepa/model", "data": "data/cartpole"}),
         ("fit", {}, {"acts": True, "model": "runs/actor/model", "data": "data/cartpole"}),
         ("evaluate", {"model": "tsjepa-cartpole"}, {"closed_loop": []}),
         ("evaluate", {"model": "tsjepa-cartpole"}, {"open_loop": {}}),
@@ -125,6 +129,22 @@ def test_what_to_do_next_is_a_command_that_parses(capsys, command, values, resul
     said = next_step(command, values, result)
     words = said[said.index(": tsjepa ") :].split()[2:]
     assert run(capsys, *words, "--print_config")[0] == 0, said
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "splits", [{"train": 4, "test": 2, "validation": 2}, {"train": 4}, {"train": 2, "actor_train": 1, "actor_plain": 1}]
+)
+def test_the_actor_after_a_fit_learns_on_what_the_data_set_has(tmp_path, monkeypatch, splits):
+    tiny.write(tmp_path, "recipes/actor.yaml", tiny.shrink(tiny.load("recipes/actor.yaml")))
+    monkeypatch.chdir(tmp_path)
+    rest = {"validation": 2, "actor_test": 2} if "actor_train" in splits else {}
+    result = {"acts": False, "data": str(tiny_data.write(Path("data"), slots=70, **splits, **rest))}
+    result["model"] = str(entries.save(tiny_controller.tiny(), "runs/jepa/model"))
+    words = shlex.split(next_step("fit", {}, result).partition(": tsjepa ")[2])
+    assert cli.main(words) == 0
+    assert ("--trainer.callbacks" in words) == ("actor_train" not in splits)
+    assert entries.load("runs/actor/model").code_low.isfinite().all()  # which the finishes found
 
 
 @pytest.mark.parametrize("command", ["collect", "import"])
@@ -140,11 +160,12 @@ def test_what_to_do_next_is_a_command_that_parses(capsys, command, values, resul
     ],
 )
 def test_the_fit_after_a_data_set_has_its_sizes(capsys, tmp_path, command, plant, needed):
-    metadata = {"format": storage.FORMAT, "files": {}, "spec": plant.spec.to_dict()}
+    metadata = {"format": storage.FORMAT, "files": {}, "spec": plant.spec.to_dict(), "splits": {"train": {}}}
     (tmp_path / storage.METADATA).write_text(json.dumps(metadata))
     words = next_step(command, {}, tmp_path).split(": tsjepa ")[1].split()
     prefix = "--model.init_args."
     assert {name.removeprefix(prefix): size for name, size in pairwise(words) if name.startswith(prefix)} == needed
+    assert words[-2:] == ["--trainer.limit_val_batches", "0"]  # without a split to validate on
     assert run(capsys, *words, "--print_config")[0] == 0
 
 

@@ -26,7 +26,8 @@ def test_the_estimate_adds_frames_steps_and_the_finish(monkeypatch):
     monkeypatch.setattr(estimate, "choose", lambda encoder, device: chosen)
     recipe, data = tiny.load("recipes/jepa.yaml"), tiny.load("recipes/data.yaml")
     frames = {name: split["episodes"] * (data["slots"] + 1) for name, split in data["splits"].items()}
-    steps = recipe["trainer"]["max_epochs"] * frames["train"] // 256
+    assert frames["train"] == 600 * 61
+    steps = recipe["trainer"]["max_epochs"] * 140  # of 256 frames, of the 60 a trajectory that have one before them
     (refine,) = (c["init_args"]["steps"] for c in recipe["trainer"]["callbacks"] if "Refine" in c["class_path"])
 
     def total(frame: float, trial: float, finish: float) -> float:

@@ -11,6 +11,7 @@ import recordings as make
 
 from tsjepa import cli
 from tsjepa.data.cutting import starts
+from tsjepa.data.exporter import export_data
 from tsjepa.data.import_plan import merge_notes, plan_import
 from tsjepa.data.importer import import_recording, resize
 from tsjepa.data.inspect import inspect_recording
@@ -305,3 +306,25 @@ def test_import_needs_no_simulator(tmp_path):
     )
     assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0
     assert read_metadata(tmp_path / "set")["slots"] == 4
+
+
+@pytest.mark.parametrize("there", ["thesis.tex", "drive.mp4"])
+def test_overwrite_replaces_a_data_set_and_nothing_else(tmp_path, there):
+    (tmp_path / "home").mkdir()
+    (tmp_path / "home" / there).write_text("mine")
+    recording = make.lerobot_v2(tmp_path / "recording", [9, 9])
+    for folder in (tmp_path / "home", recording):  # which may be what is read
+        with pytest.raises(FileExistsError, match="is there and is no data set: choose a folder"):
+            run(recording, folder, overwrite=True)
+    assert (tmp_path / "home" / there).read_text() == "mine"
+    run(recording, tmp_path / "set")
+    run(recording, tmp_path / "set", overwrite=True)
+    with pytest.raises(FileExistsError, match="is there and is no LeRobot data set"):
+        export_data(str(tmp_path / "set"), str(tmp_path / "set"), overwrite=True)
+    assert read_metadata(tmp_path / "set")["made_by"] == "tsjepa import"
+
+
+@pytest.mark.parametrize(("episodes", "held_out"), [(1, set()), (2, {"validation"}), (3, {"validation", "test"})])
+def test_the_first_that_can_be_held_out_is_for_validation(tmp_path, episodes, held_out):
+    run(make.lerobot_v2(tmp_path / "recording", [5] * episodes), tmp_path / "set")
+    assert set(read_metadata(tmp_path / "set")["splits"]) == {"train"} | held_out

@@ -1,4 +1,5 @@
 import json
+from types import SimpleNamespace
 
 import pytest
 import tiny_data
@@ -69,3 +70,21 @@ def test_splits_of_different_lengths_are_refused_before_the_fit(tmp_path):
         Trajectories(folder, splits=[])
     with pytest.raises(KeyError, match="has no split 'tain'"):
         Trajectories(folder, splits=["tain"], paired=True).setup("fit")
+
+
+def test_a_fit_without_its_split_for_validation_is_refused_before_it_begins(tmp_path):
+    folder = tiny_data.write(tmp_path / "data", slots=12, train=4)
+    with pytest.raises(ValueError, match=r"no split 'validation' to validate on.*--trainer.limit_val_batches 0"):
+        Trajectories(folder).setup("fit")
+    unwatched = Trajectories(folder)
+    unwatched.trainer = SimpleNamespace(limit_val_batches=0)
+    unwatched.setup("fit")
+
+
+def test_frames_that_make_no_whole_patches_are_refused_with_a_size_that_does(tmp_path):
+    folder = tiny_data.write(tmp_path / "data", slots=12, train=4, validation=2)
+    metadata = json.loads((folder / METADATA).read_text())
+    metadata["spec"]["frame"] = [50, 67]
+    (folder / METADATA).write_text(json.dumps(metadata))
+    with pytest.raises(ValueError, match=r"are 50 x 67, .* multiples of 4: .*--size '\[48, 64\]'"):
+        Trajectories(folder).setup()

@@ -13,6 +13,7 @@ from reading import read_all, shows
 
 from tsjepa.data.import_plan import plan_import
 from tsjepa.data.readers import Streams, open_recording
+from tsjepa.data.readers.pictures import ArrayPictures
 
 
 def test_a_camera_that_is_not_there_is_answered_with_those_that_are(tmp_path):
@@ -227,3 +228,11 @@ def test_several_cameras_are_named_and_one_is_chosen(tmp_path):
     shows(episode, first=500)
     _, _, (entry,) = read_all(path, camera="cam_left")
     assert "there is no array cam_left" in entry.reason and wrist in entry.reason
+
+
+@pytest.mark.parametrize(("low", "high"), [(0.0, 1.0), (-0.04, 1.05), (-1.0, 1.0), (0.0, 255.0)])
+def test_pictures_of_floats_keep_their_range_where_interpolation_overshoots(low, high):
+    pictures = np.linspace(low, high, 64 * 4, dtype=np.float32).reshape(4, 8, 8, 1).repeat(3, -1)
+    shown = ArrayPictures(pictures).read(range(4))
+    assert (shown.min(), shown.max()) == (0, 255)
+    assert len(np.unique(shown)) > 200

@@ -216,3 +216,23 @@ def test_grey_arrays_are_pictures_by_their_name(tmp_path):
     import_recording(str(tmp_path), str(tmp_path / "set"), size=None, slots=4, rate_hz=RATE)
     (episode,) = open_recording(tmp_path, Streams(rate_hz=RATE)).episodes()
     np.testing.assert_array_equal(episode.frames.read([5])[0], np.repeat(grey[5][..., None], 3, axis=-1))
+
+
+@pytest.mark.parametrize(
+    ("lines", "expected"),
+    [
+        (["950,0", '"1,234",1', '"1,310,000.5",2'], [950, 1234, 1310000.5]),  # thousands
+        (['"0,125",0', '"1,234",1', '"2,5",2'], [0.125, 1.234, 2.5]),  # which these cannot all be
+        (["950;0", "1,234;1", "1,310;2"], [950, 1.234, 1.31]),
+    ],
+)
+def test_a_comma_in_a_number_is_read_by_what_separates_the_cells(tmp_path, lines, expected):
+    mark = ";" if ";" in lines[0] else ","
+    (tmp_path / "a.csv").write_text("\n".join([f"force{mark}time", *lines]) + "\n")
+    np.testing.assert_allclose(read_table(tmp_path / "a.csv")["force"], expected)
+
+
+def test_an_open_quote_is_named_with_its_line(tmp_path):
+    (tmp_path / "a.csv").write_text('a,b\n1,2\n"3,4\n' + "5,6\n" * 50_000)
+    with pytest.raises(ValueError, match=r"a\.csv: the row that begins in line 3 cannot be read .* is a quote open"):
+        read_table(tmp_path / "a.csv")

@@ -104,3 +104,8 @@ def test_sizes_that_make_no_network_are_refused():
         DifferenceEncoder(2, 8, 8, 12, features=0)
     with pytest.raises(ValueError, match="multiples of 32"):
         DifferenceEncoder(2, 8, 8, 12, widths=(4, 6, 8))
+
+
+def test_a_frame_that_makes_no_whole_patches_is_refused():
+    with pytest.raises(ValueError, match="sides are multiples of 4, not 45 x 80"):
+        DifferenceEncoder(height=45, width=80)

@@ -181,6 +181,8 @@ def test_without_results_every_claim_is_said_to_be_unmeasured(tmp_path, capsys):
     [
         (["--figure", "absent"], "'absent'"),
         (["--settings", "{seeds: 3}"], "name it"),
+        (["--check", "true", "--recompute", "true"], "choose one"),
+        (["--workers", "0"], "workers is 0"),
         (["--figure", "tsne", "--recompute", "true", "--settings", "{seeds: 3}"], "marked"),
     ],
 )

@@ -64,6 +64,7 @@ def test_the_plots_of_an_evaluation_are_told_by_themselves(drawn, tmp_path):
     ]
     pictures.loop_plot(rows, tmp_path / "score.png")
     pictures.horizon_plot(rows, [0.5, 0.8, 1.0], tmp_path / "horizon.png")
+    assert len(drawn) == 2
     for figure, question in drawn:
         check(figure, question)
 

@@ -105,6 +105,12 @@ def test_a_distractor_stands_where_it_says_behind_what_moves():
     np.testing.assert_array_equal(plain[1:-1, 1:-1][inside], behind[1:-1, 1:-1][inside])
 
 
+def test_an_occluder_fits_into_the_frame():
+    wide = Appearance(occluder_pixels=150)
+    with pytest.raises(ValueError, match="occluder_pixels is 150; the frame is 128 pixels wide"):
+        wide.surroundings(wide.draw(0, DEVICE, EPISODE)[0], 128, 64)
+
+
 def test_an_occluder_hides_what_is_behind_it():
     frames = pictures(Appearance(occluder_pixels=10))
     same = (frames == frames[:, :1]).all((1, 3))  # columns of one colour from top to bottom

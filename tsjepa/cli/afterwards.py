@@ -25,8 +25,26 @@ def _after_fit(values: dict, result: dict) -> str:
     model, data = result["model"], result["data"]
     if result["acts"]:
         return f"close the loop with it: tsjepa evaluate --model {model} --data {data}"
-    pretrained = f"--model.init_args.pretrained {model} --data.init_args.path {data}"
-    return f"train the actor on it: tsjepa fit --config recipes/actor.yaml {pretrained}"
+    words = f"--model.init_args.pretrained {model} --data.init_args.path {data}{_without_actor_splits(data)}"
+    return f"train the actor on it: tsjepa fit --config recipes/actor.yaml {words}"
+
+
+def _without_actor_splits(data: str) -> str:
+    """What recipes/actor.yaml is told of a data set that has none of its splits, such as a recording."""
+    from tsjepa.data.storage import read_metadata, spec_of
+
+    metadata = read_metadata(data)
+    if "actor_train" in metadata["splits"]:
+        return ""
+    held_out = [name for name in ("validation", "test") if name in metadata["splits"]] or ["train"]
+    finishes = ["probe.FitProbe"] * bool(spec_of(metadata).state_dim) + ["decoder.FitDecoder", "codec.FitCodec"]
+    callbacks = ", ".join(
+        f"{{class_path: tsjepa.training.finish.{finish}, init_args: {{splits: [train]}}}}" for finish in finishes
+    )
+    return (
+        f" --data.init_args.collect null --data.init_args.splits '[train]' --data.init_args.validation {held_out[0]} "
+        f"--data.init_args.test {held_out[-1]} --trainer.callbacks '[{callbacks}]'"
+    )
 
 
 def _after_evaluate(values: dict, result: dict) -> str:
@@ -38,7 +56,8 @@ def _after_evaluate(values: dict, result: dict) -> str:
 def _after_data(path: Path) -> str:
     from tsjepa.data.storage import read_metadata, spec_of
 
-    spec = spec_of(read_metadata(path))
+    metadata = read_metadata(path)
+    spec = spec_of(metadata)
     words = f"--data.init_args.path {path} --data.init_args.collect null"
     frame, commands = CARTPOLE_SIZES
     if tuple(spec.frame) != frame:
@@ -46,6 +65,8 @@ def _after_data(path: Path) -> str:
         words += f" {encoder}.height {spec.frame[0]} {encoder}.width {spec.frame[1]}"
     if spec.action_dim != commands:
         words += f" --model.init_args.predictor.init_args.action_dim {spec.action_dim}"
+    if "validation" not in metadata["splits"]:
+        words += " --trainer.limit_val_batches 0"
     return f"train on it: tsjepa fit --config recipes/jepa.yaml {words}"
 
 

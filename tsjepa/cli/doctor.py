@@ -156,7 +156,7 @@ def _rendering(frames: int) -> Report:
 def _commands() -> Report:
     """`lightning-sdk` installs a command of the same name over ours."""
     script = Path(sys.executable).parent / "lightning"
-    if script.exists() and "tsjepa" in script.read_text(errors="replace"):
+    if script.exists() and "tsjepa.cli" in script.read_text(errors="replace"):
         return [("commands", "tsjepa, lightning")], []
     return [
         ("commands", "tsjepa"),

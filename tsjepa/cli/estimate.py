@@ -52,7 +52,8 @@ def main_job(device: torch.device, frames_per_second: float) -> tuple[Precision,
     module = Untrained(**{name: build(parts[name], lambda kind: issubclass(kind, nn.Module)) for name in names})
     windows = Trajectories(**recipe["data"]["init_args"])
     frames = {name: split["episodes"] * (data["slots"] + 1) for name, split in data["splits"].items()}
-    steps = recipe["trainer"]["max_epochs"] * sum(frames[name] for name in windows.splits) // windows.frames_per_batch
+    episodes = sum(data["splits"][name]["episodes"] for name in windows.splits)
+    steps = recipe["trainer"]["max_epochs"] * len(windows.sampler(episodes, data["slots"] + 1))
     chosen = choose(module.encoder, device)
     seconds = sum(frames.values()) / frames_per_second
     trials = steps * windows.frames_per_batch / (WINDOWS * windows.stacks)

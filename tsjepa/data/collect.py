@@ -17,11 +17,11 @@ from tqdm import tqdm
 
 from tsjepa.data.contact_sheet import contact_sheet
 from tsjepa.data.frames import release
-from tsjepa.data.storage import JOURNAL, check_space, publish, start_split, write_picture
+from tsjepa.data.storage import JOURNAL, METADATA, check_space, publish, start_split, write_picture
 from tsjepa.envs import FleetEnv
 from tsjepa.plants import Plant, build_plant, describe_plant
 from tsjepa.support.checks import at_least, within
-from tsjepa.support.files import exclusive
+from tsjepa.support.files import exclusive, refuse_to_replace
 from tsjepa.support.journal import Journal
 from tsjepa.support.seeds import derive
 from tsjepa.support.workers import RAY, Workers, run_items
@@ -168,6 +168,8 @@ def collect(
     for name, split in splits.items():
         at_least(1, **{f"splits.{name}.episodes": split.episodes, f"splits.{name}.views": split.views})
         at_least(0, **{f"splits.{name}.late_slots": split.late_slots})
+        if split.slots is not None:
+            at_least(1, **{f"splits.{name}.slots": split.slots})
     at_least(1, slots=slots)
     if not splits or not all(name.isidentifier() for name in splits):
         raise ValueError(f"splits is {splits}; a data set needs at least one, and their names become folders.")
@@ -175,6 +177,7 @@ def collect(
     with exclusive(folder):
         if folder.exists() and not overwrite:
             raise FileExistsError(f"{folder} exists; pass --overwrite true to collect it anew, or choose another path.")
+        refuse_to_replace(folder, "data set", METADATA)
         partial = folder.with_name(folder.name + ".partial")
         partial.mkdir(parents=True, exist_ok=True)
         metadata = {

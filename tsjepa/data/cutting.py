@@ -34,7 +34,9 @@ def split_trajectories(
     held = {}
     for name, share in (("test", test), ("validation", validation)):
         wanted = max(1, round(share * len(units))) if share > 0 else 0
-        wanted = min(wanted, len(order) - 1)
+        # of two units one is held out for validation, which a fit asks for
+        kept = 1 + (name == "test" and validation > 0)
+        wanted = max(0, min(wanted, len(order) - kept))
         held[name], order = sorted(order[len(order) - wanted :]), order[: len(order) - wanted]
     chosen = {"train": sorted(order), "validation": held["validation"], "test": held["test"]}
     return {

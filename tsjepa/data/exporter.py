@@ -24,7 +24,7 @@ from tsjepa.data.lerobot_layout import (
 )
 from tsjepa.data.lerobot_stats import Statistics
 from tsjepa.data.storage import open_split, read_metadata, spec_of
-from tsjepa.support.files import replace_folder
+from tsjepa.support.files import refuse_to_replace, replace_folder
 from tsjepa.support.foreign import optional
 
 
@@ -53,6 +53,7 @@ def export_data(
     folder = Path(output)
     if folder.exists() and not overwrite:
         raise FileExistsError(f"{folder} exists; pass --overwrite true to replace it, or choose another folder.")
+    refuse_to_replace(folder, "LeRobot data set", "meta/info.json")
     metadata = read_metadata(path)
     partial = folder.with_name(folder.name + ".partial")
     shutil.rmtree(partial, ignore_errors=True)

@@ -16,8 +16,10 @@ from tsjepa.data.lag import command_lag
 from tsjepa.data.readers import Frames, Skipped, Streams, open_recording
 from tsjepa.data.readers.episode import read_pictures
 from tsjepa.data.report import import_report, import_table
+from tsjepa.data.storage import METADATA
 from tsjepa.data.writing import write_data_set
 from tsjepa.support.checks import at_least, within
+from tsjepa.support.files import refuse_to_replace
 from tsjepa.support.foreign import reason
 from tsjepa.support.spec import PlantSpec
 
@@ -80,6 +82,7 @@ def import_recording(
     folder = Path(output)
     if folder.exists() and not overwrite:
         raise FileExistsError(f"{folder} exists; pass --overwrite true to replace it, or choose another folder.")
+    refuse_to_replace(folder, "data set", METADATA)
     recording = open_recording(path, Streams(camera, action, state, time, rate_hz), reader)
     plan = plan_import(recording, slot, None if offset == "auto" else offset)
     parts = _long_enough(plan, slots)

@@ -12,6 +12,7 @@ from torch.utils.data import DataLoader
 from tsjepa.data.checks import check_split
 from tsjepa.data.storage import METADATA, open_split, read_metadata, spec_of
 from tsjepa.data.windows import WindowDataset, WindowSampler
+from tsjepa.models.encoder import PATCH
 from tsjepa.support.checks import at_least
 from tsjepa.support.recipes import find_recipe, parse_arguments
 from tsjepa.support.seeds import run_seed
@@ -76,6 +77,8 @@ class Trajectories(lightning.LightningDataModule):
         self.splits, self.start_share, self.paired = tuple(splits), start_share, paired
         self.other_data = False
 
+    validation = "validation"  # the split that a fit is validated on
+
     @property
     def first_slot(self) -> int:
         """First slot with a whole stack behind it."""
@@ -99,7 +102,19 @@ class Trajectories(lightning.LightningDataModule):
     def setup(self, stage: str | None = None) -> None:
         self.metadata = read_metadata(self.path)
         self.spec = spec_of(self.metadata)
+        if any(side % PATCH for side in self.spec.frame):
+            height, width = self.spec.frame
+            raise ValueError(
+                f"The frames of {self.path} are {height} x {width}, and their sides have to be multiples of {PATCH}: "
+                f"make it anew in another size, such as --size '[{height - height % PATCH}, {width - width % PATCH}]'."
+            )
         if stage == "fit":
+            validated = self.trainer is None or bool(self.trainer.limit_val_batches)
+            if validated and self.validation not in self.metadata["splits"]:
+                raise ValueError(
+                    f"The data set in {self.path} has no split {self.validation!r} to validate on: make it anew of "
+                    "more or shorter trajectories, or add --trainer.limit_val_batches 0."
+                )
             slots = {name: self.split(name).shape[1] - 1 for name in self.splits}
             if len(set(slots.values())) > 1:
                 told = ", ".join(f"{name} {count}" for name, count in slots.items())
@@ -142,12 +157,12 @@ class Trajectories(lightning.LightningDataModule):
         """How many episodes of a split show each of its trajectories."""
         return read_metadata(self.path)["splits"][name].get("views", 1)
 
-    def train_dataloader(self) -> DataLoader:
-        splits = [self.split(name) for name in self.splits]
+    def sampler(self, episodes: int, frames: int) -> WindowSampler:
+        """What draws the batches of an epoch from so many trajectories of so many frames."""
         rank, world_size = (self.trainer.global_rank, self.trainer.world_size) if self.trainer else (0, 1)
-        sampler = WindowSampler(
-            sum(map(len, splits)),
-            splits[0].shape[1],
+        return WindowSampler(
+            episodes,
+            frames,
             first=self.first_slot,
             stacks=self.stacks,
             windows_per_batch=self.frames_per_batch // self.stacks,
@@ -157,12 +172,16 @@ class Trajectories(lightning.LightningDataModule):
             world_size=world_size,
             start_share=self.start_share,
         )
+
+    def train_dataloader(self) -> DataLoader:
+        splits = [self.split(name) for name in self.splits]
+        sampler = self.sampler(sum(map(len, splits)), splits[0].shape[1])
         dataset = WindowDataset(splits, self.stacks, self.frame_stack, self.frame_spacing, self.paired)
         return DataLoader(dataset, sampler=sampler, batch_size=None, collate_fn=as_is)
 
     def val_dataloader(self) -> DataLoader:
         """One batch: the validation split, as it lies on disk."""
-        return DataLoader([self.split("validation")], batch_size=None, collate_fn=as_is)
+        return DataLoader([self.split(self.validation)], batch_size=None, collate_fn=as_is)
 
     def test_dataloader(self) -> DataLoader:
         return DataLoader([self.split("test")], batch_size=None, collate_fn=as_is)

@@ -48,7 +48,7 @@ class StateEstimator(nn.Module):
             ResidualBlock(first, second, 2),
             ResidualBlock(second, third, 2),
         )
-        self.hidden = nn.Linear(third * (height // (4 * PATCH)) * (width // (4 * PATCH)), hidden_dim)
+        self.hidden = nn.Linear(third * -(-height // (4 * PATCH)) * -(-width // (4 * PATCH)), hidden_dim)
         self.output = nn.Linear(hidden_dim, state_dim)
         self.register_buffer("state_mean", torch.zeros(state_dim))
         self.register_buffer("state_std", torch.ones(state_dim))

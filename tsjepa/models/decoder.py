@@ -33,8 +33,8 @@ class Decoder(nn.Module):
         embedding_dim: d.
         frame_stack: frames that are drawn, oldest first.
         channels: of the coarse picture and after each doubling.
-        height: frame height in pixels.
-        width: frame width in pixels.
+        height: frame height in pixels, a multiple of 4.
+        width: frame width in pixels, a multiple of 4.
     """
 
     def __init__(
@@ -49,7 +49,8 @@ class Decoder(nn.Module):
         self.embedding_dim, self.frame_stack, self.channels = embedding_dim, frame_stack, tuple(channels)
         self.height, self.width = height, width
         self.scale = embedding_dim**0.5
-        self.coarse_shape = (channels[0], height // (8 * PATCH), width // (8 * PATCH))
+        # rounded up: what is drawn beyond the frame is cut off
+        self.coarse_shape = (channels[0], -(-height // (8 * PATCH)), -(-width // (8 * PATCH)))
         self.hidden = nn.Linear(embedding_dim, embedding_dim)
         self.project = nn.Linear(embedding_dim, self.coarse_shape[0] * self.coarse_shape[1] * self.coarse_shape[2])
         self.stages = nn.Sequential(*(Upsample(*pair) for pair in pairwise(channels)))
@@ -64,7 +65,8 @@ class Decoder(nn.Module):
         """From embeddings [N, d] to (patches - background) / contrast [N, H / 4, W / 4, frame_stack * 48]."""
         hidden = F.relu(self.hidden(embedding * self.scale))
         coarse = F.relu(self.project(hidden)).unflatten(1, self.coarse_shape)
-        return self.patches(self.stages(coarse)).permute(0, 2, 3, 1)
+        height, width, _ = self.background.shape
+        return self.patches(self.stages(coarse)).permute(0, 2, 3, 1)[:, :height, :width]
 
     def forward(self, embedding: Tensor) -> Tensor:
         """Frames [..., frame_stack, H, W, 3] in 0..255 from ``embedding`` [..., d] of unit length.

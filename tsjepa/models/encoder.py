@@ -100,6 +100,8 @@ class PatchEncoder(nn.Module):
     def __init__(self, frame_stack: int, embedding_dim: int, height: int, width: int, grey: bool) -> None:
         super().__init__()
         at_least(1, frame_stack=frame_stack, embedding_dim=embedding_dim)
+        if height % PATCH or width % PATCH or min(height, width) < 1:
+            raise ValueError(f"The encoder takes a frame whose sides are multiples of {PATCH}, not {height} x {width}.")
         self.frame_shape = (frame_stack, height, width, 3)
         self.frame_stack, self.height, self.width = frame_stack, height, width
         self.embedding_dim, self.grey = embedding_dim, grey

@@ -20,7 +20,7 @@ from torch import nn
 
 from tsjepa.models import hub
 from tsjepa.support.description import build, describe
-from tsjepa.support.files import exclusive, json_text, replace_folder
+from tsjepa.support.files import exclusive, json_text, refuse_to_replace, replace_folder
 from tsjepa.support.foreign import is_pointer
 from tsjepa.support.spec import PlantSpec
 
@@ -199,8 +199,7 @@ def save(
     if dtype not in WEIGHT_DTYPES:
         raise ValueError(f"Weights are stored as {' or '.join(WEIGHT_DTYPES)}, not as {dtype!r}.")
     folder = Path(folder)
-    if not _may_be_replaced(folder):
-        raise FileExistsError(f"{folder} is there and is no stored model: choose a folder that may be replaced.")
+    refuse_to_replace(folder, "stored model", WEIGHTS, MANIFEST)  # others have the other files too
     weights = _stored(model, WEIGHT_DTYPES[dtype])
     texts = {
         CONFIG: yaml.safe_dump(configuration(model), sort_keys=False),
@@ -218,13 +217,6 @@ def save(
             raise OSError(f"The model could not be written to {folder} ({error}); what was there is whole.") from error
         replace_folder(partial, folder)
     return folder
-
-
-def _may_be_replaced(folder: Path) -> bool:
-    """Whether nothing but a model is lost; the files that others have too, such as a README, do not make one."""
-    if not folder.is_dir():
-        return not folder.exists()
-    return not any(folder.iterdir()) or any((folder / name).is_file() for name in (WEIGHTS, MANIFEST))
 
 
 def _write(partial: Path, texts: dict[str, str], weights: dict[str, torch.Tensor]) -> None:

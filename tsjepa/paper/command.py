@@ -12,6 +12,7 @@ import yaml
 from tsjepa.paper import FIGURES, module_of, store
 from tsjepa.paper.sweep import check as check_figure
 from tsjepa.paper.sweep import run_sweep
+from tsjepa.support.checks import at_least
 from tsjepa.support.processor import cores
 from tsjepa.support.recipes import find_recipe
 
@@ -44,6 +45,10 @@ def figures(
     """
     if settings is not None and figure is None:
         raise ValueError("settings belong to one figure: name it, as in --figure bits.")
+    if check and recompute:
+        raise ValueError("check repeats points that are recorded, and recompute makes them anew: choose one.")
+    if workers is not None:
+        at_least(1, workers=workers)
     names = FIGURES if figure is None else (figure,)
     if check:
         return check_all(names, results, launcher)

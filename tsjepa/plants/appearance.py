@@ -85,6 +85,8 @@ class Appearance:
 
     def surroundings(self, numbers: np.ndarray, width: int, height: int) -> Surroundings:
         """What the ``numbers`` [k] of a scene say, for frames of ``width`` x ``height`` pixels."""
+        if self.occluder_pixels > width:
+            raise ValueError(f"occluder_pixels is {self.occluder_pixels}; the frame is {width} pixels wide.")
         light, right, up, *rest = numbers.tolist()
         boxes = [tuple(rest[NUMBERS * box : NUMBERS * (box + 1)]) for box in range(self.distractors)]
         distractors = tuple(((x - 0.5) * width / height, y - 0.5, *others) for x, y, *others in boxes)

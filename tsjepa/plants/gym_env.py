@@ -35,7 +35,8 @@ class Gym(Plant):
 
     Raises:
         ModuleNotFoundError: gymnasium is not installed.
-        ValueError: the environment does not render, has no continuous command with limits, or does not tell its slot.
+        ValueError: the environment does not render, has no continuous command with limits, observes more than one
+            array, or does not tell its slot; or ``reward`` is no range.
     """
 
     def __init__(
@@ -51,10 +52,17 @@ class Gym(Plant):
         self.init_args = {"env_id": env_id, "expert": kept, "slot": slot, "frame": tuple(frame)}
         self.init_args |= {"reward": tuple(reward), "arguments": arguments}
         self.env_id, self.arguments, self.reward = env_id, dict(arguments or {}), tuple(reward)
+        if not self.reward[0] < self.reward[1]:
+            raise ValueError(f"reward is {list(self.reward)}; give the lowest and a higher one, which score 0 and 1.")
         env = self._make()
         low, high = getattr(env.action_space, "low", None), getattr(env.action_space, "high", None)
         if low is None or high is None or not np.isfinite([low, high]).all():
             raise ValueError(f"{env_id} has the commands {env.action_space}; a plant needs numbers with limits.")
+        if not env.observation_space.shape:
+            raise ValueError(
+                f"{env_id} has the observations {env.observation_space}; a plant needs one array of numbers: wrap it "
+                "in gymnasium.wrappers.FlattenObservation and register that."
+            )
         fps = env.metadata.get("render_fps")
         if not (slot or fps):
             raise ValueError(f"{env_id} does not say how long a step is; give slot, in seconds.")

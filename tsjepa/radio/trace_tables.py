@@ -56,11 +56,17 @@ def text_table(path: Path, lines: list[str]) -> Table:
     numbers = sum(any(NUMBER.fullmatch(cell) for cell in row) for row in rows)
     if (not separated and full < 0.9 * len(rows)) or not numbers:
         raise ValueError(f"{path.name} is no log of a radio link that is known: its lines are no rows of a table.")
-    table: Table = {name: np.array([row[place] if place < len(row) else "" for row in rows], dtype=object)
-                    for name, place in places.items()}  # fmt: skip
+    columns = {name: [row[place] if place < len(row) else "" for row in rows] for name, place in places.items()}
+    table: Table = {name: np.array(_pointed(cells, mark), dtype=object) for name, cells in columns.items()}
     if extra := max(len([cell for cell in row[width:] if cell]) for row in rows):
         table[EXTRA] = np.array([float(extra)])
     return table
+
+
+def _pointed(cells: list[str], mark: str) -> list[str]:
+    """The cells with decimal points, whatever stands for a loss."""
+    pointed = decimal_points([None if cell in DASH else cell for cell in cells], mark)
+    return [cell if point is None else point for cell, point in zip(cells, pointed, strict=True)]
 
 
 def _is_units(row: list[str], next_rows: list[list[str]]) -> bool:
@@ -210,9 +216,6 @@ def _cells(cells: np.ndarray, name: str, notes: list[str]) -> tuple[np.ndarray, 
         return cells, np.zeros(len(cells), bool)
     words = [str(cell).strip() if cell is not None else "" for cell in cells]
     dashes = np.array([word in DASH for word in words])
-    if dashes.sum() < len(words):
-        pointed = decimal_points([None if dash else word for word, dash in zip(words, dashes, strict=True)])
-        words = ["-" if word is None else word for word in pointed]
     if all(word.lstrip("-").isdigit() for word in words):
         return np.array([int(word) for word in words]), dashes
     numbers = np.full(len(words), np.nan)

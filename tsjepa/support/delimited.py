@@ -14,6 +14,7 @@ from pathlib import Path
 MARKS = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"))
 MOST_TEXT = 2 << 30  # bytes, unpacked
 NUMBER = re.compile(r"\s*[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?\s*", re.IGNORECASE)
+THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2}(,\d{3})+(\.\d+)?")
 COMMA_NUMBER = re.compile(r"\s*[-+]?\d+(,\d+)?(e[-+]?\d+)?\s*", re.IGNORECASE)
 
 
@@ -63,23 +64,32 @@ def without_comments(lines: list[str]) -> list[str]:
     return lines[start:]
 
 
-def split_rows(text: str) -> list[tuple[int, list[str]]]:
-    """The line, from 1, at which it begins, and the cells of every row that is not empty, the header first.
+def split_rows(text: str) -> tuple[str, list[tuple[int, list[str]]]]:
+    """What separates the cells, and of every row that is not empty its first line, from 1, and its cells.
 
-    Comments before the header are left out.
+    The header comes first; comments before it are left out.
+
+    Raises:
+        ValueError: a cell in quotes goes on for more than 128 KiB; the sentence names the line where it begins.
     """
     lines = text.splitlines()
     places = [place for place, line in enumerate(lines, 1) if line.strip()]
     lines = without_comments(lines)
     places = places[len(places) - len(lines) :]
-    rows = csv.reader(lines, delimiter=delimiter_of(lines[0]) if lines else ",")
+    mark = delimiter_of(lines[0]) if lines else ","
+    rows = csv.reader(lines, delimiter=mark)
     found = []
     start = 0
-    for row in rows:
-        if any(cell.strip() for cell in row):
-            found.append((places[start], row))
-        start = rows.line_num  # a cell in quotes may go over several lines
-    return found
+    try:
+        for row in rows:
+            if any(cell.strip() for cell in row):
+                found.append((places[start], row))
+            start = rows.line_num  # a cell in quotes may go over several lines
+    except csv.Error as error:
+        raise ValueError(
+            f"the row that begins in line {places[start]} cannot be read ({error}): is a quote open?"
+        ) from error
+    return mark, found
 
 
 def delimiter_of(line: str) -> str:
@@ -87,10 +97,22 @@ def delimiter_of(line: str) -> str:
     return max(",;\t", key=line.count)
 
 
-def decimal_points(cells: list[str | None]) -> list[str | None]:
-    """The cells with decimal points where all of them are whole numbers or have a decimal comma."""
+def decimal_points(cells: list[str | None], mark: str) -> list[str | None]:
+    """The cells with decimal points where all of them are whole numbers or have a comma.
+
+    Between cells that commas separate, a comma in quotes is one of thousands wherever it can be.
+
+    Args:
+        cells: of one column.
+        mark: what separates the cells of a row.
+    """
+    commas = [cell.strip() for cell in cells if cell and "," in cell]
+    if not commas:
+        return cells
     words = [cell for cell in cells if cell]
-    if any("," in word for word in words) and all(COMMA_NUMBER.fullmatch(word) for word in words):
+    if mark == "," and all(THOUSANDS.fullmatch(word) for word in commas):
+        return [cell.replace(",", "") if cell else cell for cell in cells]
+    if all(COMMA_NUMBER.fullmatch(word) for word in words):
         return [cell.replace(",", ".") if cell else cell for cell in cells]
     return cells
 

@@ -95,6 +95,20 @@ def _not_finite(value: Any, name: str = "result") -> str | None:
     return next((found for place, item in parts if (found := _not_finite(item, place)) is not None), None)
 
 
+def refuse_to_replace(folder: Path, what: str, *marks: str) -> None:
+    """Lets only a folder be replaced that is empty or holds ``what``, which one of the files ``marks`` tells.
+
+    Raises:
+        FileExistsError: it holds something else, or is a file.
+    """
+    if folder.is_dir():
+        other = any(folder.iterdir()) and not any((folder / mark).is_file() for mark in marks)
+    else:
+        other = folder.exists()
+    if other:
+        raise FileExistsError(f"{folder} is there and is no {what}: choose a folder that may be replaced.")
+
+
 def replace_folder(partial: Path, folder: Path) -> None:
     """Renames ``partial`` to ``folder`` and removes what was there before.
 

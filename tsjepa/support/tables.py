@@ -148,7 +148,11 @@ def _arrow_column(pa: Any, column: Any) -> np.ndarray:
 
 
 def _read_csv(path: Path) -> Table:
-    (_, header), *rows = split_rows(read_text(path)) or [(1, [])]
+    try:
+        mark, found = split_rows(read_text(path))
+    except ValueError as error:
+        raise ValueError(f"{path.name}: {error}") from error
+    (_, header), *rows = found or [(1, [])]
     names = [name.strip() for name in header]
     while names and not names[-1]:  # a mark at the end of every line
         names.pop()
@@ -164,7 +168,7 @@ def _read_csv(path: Path) -> Table:
         if len(row) < len(names) or any(cell.strip() for cell in row[len(names) :]):
             raise ValueError(f"{path.name} names {len(names)} columns and line {number} has {len(row)} cells.")
     return {
-        name: _column(decimal_points([row[place].strip() or None for _, row in rows]))
+        name: _column(decimal_points([row[place].strip() or None for _, row in rows], mark))
         for place, name in enumerate(names)
     }
 

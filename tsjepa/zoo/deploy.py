@@ -18,7 +18,7 @@ from torch.export import Dim, ExportedProgram
 from tsjepa.envs.payload import embedding_codec
 from tsjepa.models import AutoencoderController, Controller, entries
 from tsjepa.radio.codecs import payload_bits
-from tsjepa.support.files import exclusive, replace_folder
+from tsjepa.support.files import exclusive, refuse_to_replace, replace_folder
 from tsjepa.support.provenance import provenance
 
 DESCRIPTION = "deployment.json"
@@ -178,8 +178,7 @@ def deploy(model: str, folder: str, format: Literal["onnx", "torch_export"] = "o
         ValueError: the model came without the ranges of its integer codec.
     """
     target = Path(folder).absolute()
-    if target.exists() and not (target / DESCRIPTION).is_file():
-        raise FileExistsError(f"{folder} is there and is no deployment: choose a folder that may be replaced.")
+    refuse_to_replace(target, "deployment", DESCRIPTION)
     lacking = [name for name in ("onnx", "onnxscript") if format == "onnx" and importlib.util.find_spec(name) is None]
     if lacking:
         raise ModuleNotFoundError(f"The format onnx needs the package {lacking[0]}: pip install 'tsjepa[onnx]'.")

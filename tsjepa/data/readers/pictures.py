@@ -126,6 +126,7 @@ def levels(pictures: np.ndarray) -> tuple[float, float]:
     low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 0.0)
     if pictures.dtype.kind != "f":
         return (1.0, 0.0) if high <= 255 else (1 / 257, 0.0)
-    if high > 1:
+    # interpolation overshoots the ends of 0..1 a little; what is beyond is clipped
+    if high > 2:
         return 1.0, 0.0
-    return (127.5, 127.5) if low < 0 else (255.0, 0.0)
+    return (127.5, 127.5) if low < -0.15 else (255.0, 0.0)
