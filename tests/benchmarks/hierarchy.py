@@ -1,6 +1,6 @@
 """Jumps of several strides beside steps of one slot: prediction error, score, and devices on one radio.
 
-    python tests/benchmarks/hierarchy.py            # 25 minutes of one core
+    python tests/benchmarks/hierarchy.py            # 25 to 45 minutes of one core
 
 Both predictors learn on the frozen embeddings of `tsjepa-cartpole-d16` and the same trajectories, from a draw of
 their own for each training seed: as many parameters, steps, roll-outs a step and predictions a roll-out. The flat
