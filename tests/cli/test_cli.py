@@ -132,19 +132,20 @@ def test_what_to_do_next_is_a_command_that_parses(capsys, command, values, resul
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "splits", [{"train": 4, "test": 2, "validation": 2}, {"train": 4}, {"train": 2, "actor_train": 1, "actor_plain": 1}]
-)
-def test_the_actor_after_a_fit_learns_on_what_the_data_set_has(tmp_path, monkeypatch, splits):
+@pytest.mark.parametrize("splits", [{"train": 4, "test": 2, "validation": 2}, {"train": 4}])
+def test_the_actor_after_a_fit_on_a_recording_learns_on_what_it_has(tmp_path, monkeypatch, splits):
     tiny.write(tmp_path, "recipes/actor.yaml", tiny.shrink(tiny.load("recipes/actor.yaml")))
     monkeypatch.chdir(tmp_path)
-    rest = {"validation": 2, "actor_test": 2} if "actor_train" in splits else {}
-    result = {"acts": False, "data": str(tiny_data.write(Path("data"), slots=70, **splits, **rest))}
+    result = {"acts": False, "data": str(tiny_data.write(Path("data"), slots=70, **splits))}
     result["model"] = str(entries.save(tiny_controller.tiny(), "runs/jepa/model"))
-    words = shlex.split(next_step("fit", {}, result).partition(": tsjepa ")[2])
-    assert cli.main(words) == 0
-    assert ("--trainer.callbacks" in words) == ("actor_train" not in splits)
+    assert cli.main(shlex.split(next_step("fit", {}, result).partition(": tsjepa ")[2])) == 0
     assert entries.load("runs/actor/model").code_low.isfinite().all()  # which the finishes found
+
+
+def test_the_actor_after_a_fit_on_the_recipes_data_is_the_recipes(tmp_path):
+    folder = tiny_data.write(tmp_path / "data")
+    said = next_step("fit", {}, {"acts": False, "data": str(folder), "model": "runs/jepa/model"})
+    assert said.endswith(f"--model.init_args.pretrained runs/jepa/model --data.init_args.path {folder}")
 
 
 @pytest.mark.parametrize("command", ["collect", "import"])

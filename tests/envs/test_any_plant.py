@@ -110,12 +110,11 @@ def test_the_page_and_the_plant_written_from_it_are_short():
     assert len(lines) <= 100 and "tsjepa.envs" not in "\n".join(lines)
 
 
-@pytest.mark.parametrize("wrap", [gated, lambda scheduler: partial(gated(scheduler))])
 @pytest.mark.parametrize("name", ["urgency", "first_contact", "expected_urgency", "genie", "whittle_cost"])
-def test_a_scheduler_by_need_gets_what_it_needs_within_other_functions_too(name, wrap):
+def test_a_scheduler_by_need_gets_what_it_needs_within_other_functions_too(name):
     radio = Radio(resource_blocks=2, snr_target_db=60.0)  # with every device above the threshold the gate does nothing
     plant, runs = CartPole(process_noise_std=0.008), []
-    for scheduler in (name, wrap(SCHEDULERS[name])):
+    for scheduler in (name, partial(gated(SCHEDULERS[name]))):
         env = make_env(plant, 4, scheduler, radio, "linear", slots=20)
         runs.append(env.rollout(20, make_policy(plant, "linear")))
     assert torch.equal(runs[0]["scheduled"], runs[1]["scheduled"])

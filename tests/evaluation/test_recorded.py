@@ -75,13 +75,13 @@ def test_simulate_records_the_first_seed_of_every_scheduler(tmp_path):
 @pytest.mark.slow
 def test_evaluate_records_one_start_at_every_period(tmp_path):
     entry = entries.save(tiny_controller.tiny(), tmp_path / "model")
-    options = {"periods": (1, 5, 0), "seeds": 2, "starts_per_seed": 6, "slots": 80, "video": False}
+    options = {"periods": (1, 5, 0), "seeds": 2, "starts_per_seed": 6, "slots": 40, "video": False}
     evaluate(str(entry), output=str(tmp_path / "out"), **options, record=str(tmp_path / "loop.rrd"))
     file = RecordedFile(tmp_path / "loop.rrd")
-    for name, period in (("every\\ slot", 1), ("every\\ 5\\ slots", 5), ("once", 80)):
+    for name, period in (("every\\ slot", 1), ("every\\ 5\\ slots", 5), ("once", 40)):
         age = file.numbers(f"/{name}/device\\ 0/age")[1][:, 0]
-        assert age.tolist() == [slot % period + 1 for slot in range(80)]
-        assert len(file.pictures(f"/{name}/device\\ 0/belief")[1]) == 80
+        assert age.tolist() == [slot % period + 1 for slot in range(40)]
+        assert len(file.pictures(f"/{name}/device\\ 0/belief")[1]) == 40
 
 
 def test_what_cannot_be_recorded_is_said_before_anything_is_run(tmp_path, capsys):

@@ -231,6 +231,7 @@ def test_the_hash_of_the_code_knows_an_edit_of_the_package_and_of_the_users_own_
     assert provenance.code_hash() == before
     source.write_text("a = 2\n")
     edited = provenance.code_hash()
+    assert provenance.code_hash(simulation) == provenance.code_hash(simulation)  # a module is of its file
     assert len({before, edited, provenance.code_hash(SCHEDULERS["random"]), provenance.code_hash(OpenPlant)}) == 4
 
 

@@ -58,7 +58,7 @@ def commit_of(folder: Path) -> str | None:
 
 
 def code_hash(*others: Any) -> str:
-    """SHA-256 over this package's source files and those that define ``others``, functions, classes or instances.
+    """SHA-256 over this package's source files and those of ``others``: modules, functions, classes or instances.
 
     Unlike a commit it also tells two states of a checkout apart that nobody has committed. Code without a file, typed
     into an interpreter, counts as another one every time.
@@ -77,9 +77,10 @@ def code_hash(*others: Any) -> str:
 
 
 def _source(other: Any) -> Path | None:
-    """The file that defines a function, a class, or the class of an instance; None where there is none."""
+    """The file of a module, or that defines a function, a class or that of an instance; None where there is none."""
+    has_file = inspect.ismodule(other) or inspect.isroutine(other) or inspect.isclass(other)
     try:
-        file = Path(inspect.getfile(other if inspect.isroutine(other) or inspect.isclass(other) else type(other)))
+        file = Path(inspect.getfile(other if has_file else type(other)))
     except (TypeError, OSError):  # of a class that was typed in
         return None
     return file if file.is_file() else None
