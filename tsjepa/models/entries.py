@@ -177,6 +177,15 @@ def configuration(model: nn.Module) -> dict:
     return {"format": FORMAT, "model": describe(model, _part_of_a_model), "plant": model.plant}
 
 
+def check_replaceable(folder: Path) -> None:
+    """Says whether :func:`save` may write ``folder``.
+
+    Raises:
+        FileExistsError: it holds something else than an entry.
+    """
+    refuse_to_replace(folder, "stored model", WEIGHTS, MANIFEST)  # others have the other files too
+
+
 def save(
     model: nn.Module, folder: str | Path, metrics: dict | None = None, card: str = "", dtype: str = "float32"
 ) -> Path:
@@ -199,7 +208,7 @@ def save(
     if dtype not in WEIGHT_DTYPES:
         raise ValueError(f"Weights are stored as {' or '.join(WEIGHT_DTYPES)}, not as {dtype!r}.")
     folder = Path(folder)
-    refuse_to_replace(folder, "stored model", WEIGHTS, MANIFEST)  # others have the other files too
+    check_replaceable(folder)
     weights = _stored(model, WEIGHT_DTYPES[dtype])
     texts = {
         CONFIG: yaml.safe_dump(configuration(model), sort_keys=False),

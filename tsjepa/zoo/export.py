@@ -43,9 +43,11 @@ def export(
     Raises:
         ValueError: a name with folders, an evaluation of other weights, a damaged file, or scores that 16 bits change.
         FileNotFoundError: there is no such run or evaluation.
+        FileExistsError: the folder holds something else than an entry.
     """
     if name in ("", "..") or Path(name).name != name:
         raise ValueError(f"{name!r} is no name of an entry: leave out folders, which --folder gives.")
+    entries.check_replaceable(Path(folder) / name)  # before what takes minutes
     source = model_folder(run)
     model = entries.load(source)
     if not decoder and isinstance(model, AutoencoderController):
