@@ -148,8 +148,9 @@ def _arrow_column(pa: Any, column: Any) -> np.ndarray:
 
 
 def _read_csv(path: Path) -> Table:
+    text = read_text(path)
     try:
-        mark, found = split_rows(read_text(path))
+        mark, found = split_rows(text)
     except ValueError as error:
         raise ValueError(f"{path.name}: {error}") from error
     (_, header), *rows = found or [(1, [])]
