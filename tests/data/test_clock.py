@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tsjepa.data.clock import cut, match_clocks, newest, stamp_faults
-from tsjepa.data.lag import command_lag
+from tsjepa.data.lag import command_lag, common_lag
 
 TWENTY_HZ = np.arange(40) / 20
 
@@ -153,6 +153,40 @@ def test_no_lag_is_claimed_where_nothing_follows():
     assert command_lag(generator.normal(size=(300, 2)), generator.normal(size=(300, 3)), 0.05, same=False) is None
     assert command_lag(generator.normal(size=(300, 2)), generator.normal(size=(300, 2)), 0.05, same=True) is None
     assert command_lag(generator.normal(size=(300, 2)), generator.random((299, 1)), 0.05, same=False) is None
+
+
+@pytest.mark.parametrize("states", [1, 2, 4])
+def test_short_episodes_that_have_nothing_to_do_with_their_commands_show_no_lag(states):
+    """In so few rows a smooth state goes with some earlier command by chance."""
+    generator, found = np.random.default_rng(0), 0
+    for _ in range(40):
+        command, state = generator.normal(size=(2, 30, states))
+        for row in range(1, 30):
+            command[row] += 0.9 * command[row - 1]
+            state[row] += 0.9 * state[row - 1]
+        found += command_lag(command[:, :1], state, 0.05, same=states == 1) is not None
+    assert found <= 1
+
+
+def test_a_lag_of_few_columns_is_none_of_the_whole():
+    generator = np.random.default_rng(0)
+    command, state = generator.normal(size=(2, 300, 5))
+    for following, expected in ((2, None), (3, (4, 4, 4))):
+        state[:, :following] = np.roll(command[:, :following], 4, axis=0)
+        assert command_lag(command, state, 0.05, same=True) == expected
+    command[:, 3:] = 1.0  # columns that never change are no evidence against it
+    assert command_lag(command, state, 0.05, same=True) == (4, 4, 4)
+
+
+def test_a_recording_has_the_lag_that_half_of_its_rows_agree_on():
+    four, five, twenty = (4, 3, 6), (5, 5, 5), (20, 18, 22)
+    assert common_lag([four] * 2 + [None] * 22, [100] * 24) is None
+    assert common_lag([four] * 12 + [None] * 12, [100] * 24) == four
+    assert common_lag([four, twenty, None], [100] * 3) is None
+    assert common_lag([four, four, five, twenty], [100] * 4) == four
+    assert common_lag([four, None, None], [100, 30, 30]) == four  # a long episode says more than two short ones
+    assert common_lag([twenty, (23, 21, 25)], [100] * 2) == (21, 19, 23)
+    assert common_lag([None], [100]) is None and common_lag([], []) is None
 
 
 def test_a_jump_that_only_the_rows_know_of_splits_an_episode():

@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -259,6 +260,10 @@ def test_the_lag_is_told_in_slots_however_fast_the_rows_come(rate_hz):
     assert plan_import(recording).lag == (4, 4, 4)
     plan = plan_import(recording, slot=0.1)
     assert plan.lag == (2, 2, 2) and "by about 2 slots" in lag_note(plan)
+    drawn = np.random.default_rng(1).normal(size=state.shape).astype(np.float32)
+    others = [replace(episode, name=name, state=drawn) for name in ("two", "three")]
+    recording.episodes = lambda: iter([episode, *others])
+    assert plan_import(recording).lag is None  # one episode of three
 
 
 def test_inspect_says_what_import_does_and_names_the_command(tmp_path, capsys):

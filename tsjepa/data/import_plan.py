@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from tsjepa.data.clock import Clocks, Piece, cut, match_clocks, typical_interval
-from tsjepa.data.lag import command_lag
+from tsjepa.data.lag import Lag, command_lag, common_lag
 from tsjepa.data.readers import Episode, Recording, Skipped
 from tsjepa.data.readers.episode import all_of
 from tsjepa.support.foreign import reason
@@ -52,7 +52,7 @@ class Plan:
     state_units: list[str]
     skipped: list[Skipped] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
-    lag: tuple[int, int, int] | None = None
+    lag: Lag | None = None
     offsets: list[float] = field(default_factory=list)
     still: int = 0
     pictures: int = 0
@@ -116,11 +116,10 @@ def plan_import(recording: Recording, slot: float | None = None, offset: float |
     if not parts:
         raise ValueError(_nothing(skipped))
     first = ready[0][0]
-    known = [lag for lag in lags if lag is not None]
     plan = Plan(
         parts, slot, first.action_names, first.action_units, first.state_names, first.state_units, skipped,
         merge_notes([*recording.notes, *notes]),
-        tuple(int(value) for value in np.median(known, axis=0)) if known else None,
+        common_lag(lags, [len(episode.action) for episode, _ in ready]),
         [clocks.offset for _, clocks in ready],
     )  # fmt: skip
     plan.notes += _constant_columns(plan)
@@ -187,7 +186,7 @@ def _without_dead_state(episode: Episode) -> Episode:
     return episode
 
 
-def _lag(episode: Episode, clocks: Clocks, slot: float) -> tuple[int, int, int] | None:
+def _lag(episode: Episode, clocks: Clocks, slot: float) -> Lag | None:
     """Slots by which the state follows the command, and their range; None where it cannot be told."""
     if episode.state is None:
         return None

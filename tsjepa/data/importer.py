@@ -12,7 +12,7 @@ import numpy as np
 
 from tsjepa.data.cutting import Taken, split_trajectories
 from tsjepa.data.import_plan import Part, Plan, plan_import
-from tsjepa.data.lag import command_lag
+from tsjepa.data.lag import Lag, command_lag, common_lag
 from tsjepa.data.readers import Frames, Skipped, Streams, open_recording
 from tsjepa.data.readers.episode import read_pictures
 from tsjepa.data.report import import_report, import_table
@@ -148,7 +148,7 @@ def _long_enough(plan: Plan, slots: int) -> list[Part]:
 def _decode(parts: list[Part], plan: Plan, size: tuple[int, int] | None, slots: int, file) -> Iterator[Taken]:
     """Writes the resized pictures of every part one after the other; yields parts, their first byte and size."""
     own: tuple[int, int] | None = None
-    lags: list[tuple[int, int, int] | None] = []
+    lags: list[Lag | None] = []
     for part in parts:
         frames, start, written = part.episode.frames, file.tell(), 0
         height, width = size or (frames.height, frames.width)
@@ -189,9 +189,8 @@ def _decode(parts: list[Part], plan: Plan, size: tuple[int, int] | None, slots: 
             continue
         part.piece.frame = part.piece.frame[:written]
         yield part, start, (height, width)
-    known = [lag for lag in lags if lag is not None]
-    if known:
-        plan.lag = tuple(int(value) for value in np.median(known, axis=0))
+    if plan.lag is None:
+        plan.lag = common_lag(lags, [len(part.piece.frame) for part in parts])
 
 
 def _blocks(frames: Frames, indices: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:

@@ -2,22 +2,30 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from statistics import NormalDist
+
 import numpy as np
+
+Lag = tuple[int, int, int]  # median, and the range from 10 to 90 %, over the columns
 
 SAME = 0.7  # correlation from which on a state counts as the answer to a command
 EXPLAINED = 0.5  # share of a state's changes that a command has to explain
 MOVING = 0.5  # correlation of a command's changes with motion in the pictures, which says less
 FEWEST_ROWS = 30  # a correlation over fewer says nothing
+CHANCE = 0.01  # that a correlation is below its lower confidence limit
+AGREEING = 0.5  # share of the moving columns, or of the rows of a recording, that has to show a lag
 LONGEST_LAG_S, LONGEST_MOTION_LAG_S = 1.5, 0.5
 
 
-def command_lag(action: np.ndarray, response: np.ndarray, interval: float, same: bool) -> tuple[int, int, int] | None:
+def command_lag(action: np.ndarray, response: np.ndarray, interval: float, same: bool) -> Lag | None:
     """Rows by which the response follows the command, and the range over the columns; None where it cannot be told.
 
     Where command and state are the same quantities, each column's lag is where its correlation is highest, and the
-    median of the columns that follow counts. Where they are not, it is the lag at which the command explains most of
-    the state's next change (least squares beside the state itself). Motion in the pictures is compared with the size of
-    the command's changes.
+    median of the columns that follow counts, if half of the commands that change are followed. Where they are not, it
+    is the lag at which the command explains most of the state's next change (least squares beside the state itself).
+    Motion in the pictures is compared with the size of the command's changes. The fewer the rows, the higher a
+    correlation has to be.
 
     Args:
         action: commands [T, m].
@@ -29,20 +37,48 @@ def command_lag(action: np.ndarray, response: np.ndarray, interval: float, same:
     if len(action) < FEWEST_ROWS or longest < 2:
         return None
     if same:
-        peaks = [_peak(action[:, column], response[:, column], longest) for column in range(action.shape[1])]
-        lags = [lag for lag, correlation in peaks if correlation >= SAME and lag < longest]
+        moving = np.flatnonzero(np.ptp(action, axis=0) > 0)
+        peaks = [_peak(action[:, column], response[:, column], longest) for column in moving]
+        least = _beyond_chance(SAME, len(action), longest)
+        lags = [lag for lag, correlation in peaks if correlation >= least and lag < longest]
+        lags = lags if len(lags) >= AGREEING * len(moving) else []
     elif response.shape[1] > 1:
         explained = _explained(action, response, longest)
-        lags = [int(explained.argmax())] if explained.max() >= EXPLAINED else []
+        least = _beyond_chance(EXPLAINED**0.5, len(action), longest * response.shape[1]) ** 2
+        lags = [int(explained.argmax())] if explained.max() >= least else []
     else:
         longest = min(longest, max(2, round(LONGEST_MOTION_LAG_S / interval)))
         change = np.linalg.norm(np.diff(action, axis=0) / (action.std(axis=0) + 1e-9), axis=1)
         lag, correlation = _peak(change, response[: len(change), 0], longest)
-        lags = [lag] if correlation >= MOVING and lag < longest else []
+        lags = [lag] if correlation >= _beyond_chance(MOVING, len(change), longest) and lag < longest else []
     if not lags:
         return None
     low, middle, high = np.percentile(lags, [10, 50, 90])
     return round(middle), round(low), round(high)
+
+
+def common_lag(lags: Sequence[Lag | None], rows: Sequence[int]) -> Lag | None:
+    """The lag of a recording from those of its parts: the median of those that agree with it.
+
+    Args:
+        lags: what :func:`command_lag` says of every part, in one unit.
+        rows: of every part; half of all have to be in parts that agree.
+    """
+    known = [lag is not None for lag in lags]
+    if not any(known):
+        return None
+    found, weight = np.array([lag for lag in lags if lag is not None]), np.asarray(rows)[known]
+    middle = np.median(found[:, 0])
+    agree = np.abs(found[:, 0] - middle) <= max(1, middle / 4)
+    if weight[agree].sum() < AGREEING * sum(rows):
+        return None
+    low, high = found[agree, 1], found[agree, 2]
+    return int(np.median(found[agree, 0])), int(np.median(low)), int(np.median(high))
+
+
+def _beyond_chance(least: float, rows: int, tries: int) -> float:
+    """Correlation over so many rows, the best of ``tries``, whose lower confidence limit (Fisher's z) is ``least``."""
+    return float(np.tanh(np.arctanh(least) + NormalDist().inv_cdf(1 - CHANCE / tries) / np.sqrt(rows - 3)))
 
 
 def _peak(cause: np.ndarray, effect: np.ndarray, longest: int) -> tuple[int, float]:
