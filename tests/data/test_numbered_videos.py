@@ -82,5 +82,7 @@ def test_a_rate_that_cannot_be_is_named(tmp_path, capsys, rate_hz):
 
 def test_times_that_fit_no_two_pictures_are_not_advised_to_be_imported(tmp_path):
     folder = folder_of(tmp_path, ["ep1"], [1], step_s=50.0)  # milliseconds
-    with pytest.raises(ValueError, match=r"No two pictures of .* follow each other .* call their column time_ms"):
+    with pytest.raises(
+        ValueError, match=r"No two pictures of .* follow each other .* call their column time_ms.*--time"
+    ):
         inspect_recording(str(folder), action="force_n")

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 import recordings as make
 
+from tsjepa.data.import_plan import plan_import
 from tsjepa.data.importer import import_recording
 from tsjepa.data.readers import Episode, Streams, open_recording
-from tsjepa.support.stamps import as_seconds
+from tsjepa.support.stamps import as_seconds, slow_note, wanted_times
 from tsjepa.support.tables import read_table
 
 ROWS, RATE = 12, 20
@@ -236,3 +237,39 @@ def test_an_open_quote_is_named_with_its_line(tmp_path):
     (tmp_path / "a.csv").write_text('a,b\n1,2\n"3,4\n' + "5,6\n" * 50_000)
     with pytest.raises(ValueError, match=r"a\.csv: the row that begins in line 3 cannot be read .* is a quote open"):
         read_table(tmp_path / "a.csv")
+
+
+@pytest.mark.parametrize(("unit", "count"), [("ms", 50), ("us", 50_000), ("ns", 50_000_000)])
+def test_times_without_a_unit_that_rise_fast_are_asked_about_and_one_may_be_given(tmp_path, unit, count):
+    (tmp_path / "run").mkdir()
+    for number, picture in enumerate(make.pictures(ROWS)):
+        cv2.imwrite(str(tmp_path / "run" / f"{number}.png"), picture)
+    rows = [f"{count * k},{force}" for k, force in enumerate(FORCE)]
+    (tmp_path / "run.csv").write_text("\n".join(["time,action", *rows]))
+    plan = plan_import(open_recording(tmp_path))
+    assert plan.slot == pytest.approx(count)
+    (note,) = [note for note in plan.notes if "states no unit" in note]
+    assert f"run: its column time states no unit and is taken for seconds, a row every {count:.4g} s" in note
+    assert f"call it time_{unit}, or pass --time 'time({unit})'" in note
+    plan = plan_import(open_recording(tmp_path, Streams(time=f"time({unit})")))
+    assert plan.slot == pytest.approx(0.05) and not any("unit" in note for note in plan.notes)
+
+
+@pytest.mark.parametrize("name", ["time_s", "time", "stamp(s)"])
+def test_a_slow_recording_that_says_so_is_not_asked_about(name):
+    slow, quick = np.array([0.0, 60.0, 120.0, 120.0, 180.0]), np.arange(5) * 0.05
+    assert slow_note(name, quick) == []
+    assert len(slow_note(name, slow)) == (name == "time")
+    assert slow_note("time", 1_700_000_000_000 + 50 * np.arange(5)) == []  # since 1970: their size tells the unit
+    assert slow_note("time", np.array(["2024-01-01", "2024-01-02"], dtype=object)) == []
+
+
+def test_the_wanted_times_may_have_their_unit_behind_their_name():
+    names = ["clock", "clock_ms", "t(us)"]
+    assert wanted_times("clock", names) == ("clock", None)
+    assert wanted_times("clock_ms", names) == ("clock_ms", 1e-3)
+    assert wanted_times("clock(ms)", names) == ("clock", 1e-3)
+    assert wanted_times("t(us)", names) == ("t(us)", 1e-6)
+    for absent in ("watch", "clock(lightyears)", "watch(ms)"):
+        with pytest.raises(ValueError, match=r"there is no column .*; there are clock, clock_ms, t\(us\)"):
+            wanted_times(absent, names)

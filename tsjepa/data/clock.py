@@ -105,7 +105,10 @@ def match_clocks(
             notes += stamp_faults(times, what)
     if row_times is None and frame_times is None:
         if not rate_hz:
-            raise ValueError("neither its rows nor its pictures have times: say how many a second (--rate_hz).")
+            raise ValueError(
+                "neither its rows nor its pictures have times: name the column of the rows' times (--time), or say how "
+                "many there are a second (--rate_hz)."
+            )
         if not alike:
             raise ValueError(f"it has {rows} rows and {frames} pictures, and no times that tell which go together.")
         clock = np.arange(max(rows, frames)) / rate_hz

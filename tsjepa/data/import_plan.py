@@ -115,6 +115,11 @@ def plan_import(recording: Recording, slot: float | None = None, offset: float |
         notes += [f"{episode.name}: {note}" for note in [*episode.notes, *clocks.notes, *cut_notes]]
     if not parts:
         raise ValueError(_nothing(skipped))
+    if max(len(part.piece.frame) for part in parts) < 2:
+        raise ValueError(
+            "No two pictures of the recording follow each other by their times, so nothing can be imported; if the "
+            "times of its rows are milliseconds, call their column time_ms, or pass --time 'NAME(ms)'."
+        )
     first = ready[0][0]
     plan = Plan(
         parts, slot, first.action_names, first.action_units, first.state_names, first.state_units, skipped,

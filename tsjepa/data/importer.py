@@ -61,7 +61,7 @@ def import_recording(
         camera: image stream to take.
         action: columns, keys or topics of the commands, where their names do not say it; several with commas between.
         state: the same of the state.
-        time: column or key of the rows' times.
+        time: column or key of the rows' times; its unit may stand behind it, as in 'time(ms)', where its name has none.
         rate_hz: pictures a second, where neither pictures nor rows have times.
         offset: seconds by which the clock of the rows is ahead of that of the pictures; found when auto.
         strict: refuse the recording if anything of it cannot be used.
@@ -137,10 +137,9 @@ def _long_enough(plan: Plan, slots: int) -> list[Part]:
         else:
             plan.skipped.append(Skipped(part.name, f"{frames} pictures are too few for {slots} slots."))
     if not parts:
-        longest = max(len(part.piece.frame) for part in plan.parts) if plan.parts else 0
+        longest = max(len(part.piece.frame) for part in plan.parts)
         raise ValueError(
-            f"The longest piece has {longest} pictures and {slots + 1} are needed: "
-            + (f"say --slots {longest - 1}." if longest > 1 else "there is nothing to import.")
+            f"The longest piece has {longest} pictures and {slots + 1} are needed: say --slots {longest - 1}."
         )
     return parts
 

@@ -39,7 +39,7 @@ def inspect_recording(
         camera: image stream to take.
         action: columns, keys or topics of the commands, where their names do not say it; several with commas between.
         state: the same of the state.
-        time: column or key of the rows' times.
+        time: column or key of the rows' times; its unit may stand behind it, as in 'time(ms)', where its name has none.
         rate_hz: pictures a second, where neither pictures nor rows have times.
         reader: class path of a reader of your own.
 
@@ -60,11 +60,6 @@ def inspect_recording(
     plan = plan_import(recording)
     first = plan.parts[0].episode
     longest = max(len(part.piece.frame) for part in plan.parts)
-    if longest < 2:
-        raise ValueError(
-            f"No two pictures of {path} follow each other by their times, so that nothing can be imported; if the "
-            "times of its rows are milliseconds, call their column time_ms."
-        )
     words = ["tsjepa", "import", path, f"data/{Path(path).resolve().name}"]
     words += ["--slots", str(min(100, longest - 1))] if longest <= 100 else []
     words += ["--camera", camera or recording.camera] if camera or len(recording.cameras) > 1 else []

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 
@@ -16,6 +16,7 @@ SECONDS = {
 }
 DAY_S = 86400.0
 LATEST_S = 1e11  # since 1970: the year 5138
+SLOW_S = 1.0  # a recording of longer steps is rare, a column of milliseconds that is called time is not
 CLOCK = re.compile(r"(\d\d?):(\d\d):(\d\d(?:[.,]\d+)?)")
 LEADING = re.compile(
     r"\s*\[?(?P<epoch>\d{9,10}(?:\.\d+)?|\d{13}|\d{16}|\d{19})\]?(?=\s|$)"
@@ -33,13 +34,16 @@ ZONE = re.compile(r"(\d{4}[-/]\d\d[-/]\d\d[T ][\d:.]+)\s*(?:Z|UTC|([+-])(\d\d):?
 def time_column(table: Mapping[str, np.ndarray], wanted: str | None = None) -> tuple[str, np.ndarray] | None:
     """Name and seconds of the column of times; None where there is none.
 
+    Args:
+        table: columns by name.
+        wanted: see :func:`wanted_times`; else the first whose name says that it is one.
+
     Raises:
         ValueError: the wanted one is missing or holds no numbers.
     """
     if wanted is not None:
-        if wanted not in table:
-            raise ValueError(f"there is no column {wanted}; there are {', '.join(table)}.")
-        return wanted, as_seconds(table[wanted], time_scale(wanted) or 1.0)
+        name, scale = wanted_times(wanted, table)
+        return name, as_seconds(table[name], scale or 1.0)
     for name, column in table.items():
         scale = time_scale(name)
         if scale is not None and column.ndim == 1:
@@ -48,6 +52,37 @@ def time_column(table: Mapping[str, np.ndarray], wanted: str | None = None) -> t
             except ValueError:
                 continue
     return None
+
+
+def wanted_times(wanted: str, names: Iterable[str]) -> tuple[str, float | None]:
+    """The one of ``names`` that is wanted, as it is called or with its unit behind it (``time(ms)`` for ``time``), and
+    the seconds in one unit, None where neither states it.
+
+    Raises:
+        ValueError: there is none of that name.
+    """
+    names = list(names)
+    bare, unit = split_unit(wanted)
+    name = bare if wanted not in names and unit is not None and seconds_in(unit) is not None else wanted
+    if name not in names:
+        raise ValueError(f"there is no column {wanted}; there are {', '.join(names)}.")
+    return name, stated_scale(wanted)
+
+
+def slow_note(name: str, stamps: np.ndarray) -> list[str]:
+    """One sentence for numbers that are taken for seconds because ``name`` states no unit, where they rise so fast that
+    they may be milliseconds or less."""
+    if stamps.dtype == object or stated_scale(name) is not None:
+        return []
+    steps = np.diff(stamps.astype(float))
+    step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
+    if step <= SLOW_S or unit_of(float(np.nanmedian(np.abs(stamps.astype(float)))), 1.0) != 1.0:
+        return []
+    unit = next((unit for most, unit in ((1e3, "ms"), (1e6, "us")) if step < most), "ns")
+    return [
+        f"its column {name} states no unit and is taken for seconds, a row every {step:.4g} s; if it counts {unit}, "
+        f"call it {name}_{unit}, or pass --time '{name}({unit})'."
+    ]
 
 
 def as_seconds(stamps: np.ndarray, scale: float) -> np.ndarray:
@@ -146,14 +181,21 @@ def time_scale(name: str) -> float | None:
 
     A name without a unit counts in seconds.
     """
+    bare, unit = _with_unit(name)
+    return seconds_in(unit or "s") if TIME.match(bare) else None
+
+
+def stated_scale(name: str) -> float | None:
+    """Seconds in the unit that a column's name states, whatever it is called; None where it states no unit of time."""
+    unit = _with_unit(name)[1]
+    return None if unit is None else seconds_in(unit)
+
+
+def _with_unit(name: str) -> tuple[str, str | None]:
+    """A name and its unit in brackets or behind a line, ``time_ms``; None where it has none."""
     bare, unit = split_unit(name)
-    if unit is None:
-        head, _, tail = bare.rpartition("_")
-        if head and seconds_in(tail):
-            bare, unit = head, tail
-    if not TIME.match(bare):
-        return None
-    return seconds_in(unit or "s")
+    head, _, tail = bare.rpartition("_")
+    return (head, tail) if unit is None and head and seconds_in(tail) else (bare, unit)
 
 
 def seconds_in(unit: str) -> float | None:

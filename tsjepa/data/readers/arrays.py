@@ -11,7 +11,7 @@ import numpy as np
 from tsjepa.data.readers.episode import Episode, Skipped, Streams, attempt
 from tsjepa.data.readers.names import units_of
 from tsjepa.data.readers.pictures import CHANNELS, ArrayPictures, CodedPictures
-from tsjepa.support.stamps import as_seconds, time_scale
+from tsjepa.support.stamps import as_seconds, slow_note, wanted_times
 
 PICTURES = re.compile(r"(^|/)(pixels|images?|rgb|frames?|video)\d*($|/)|(image|rgb|pixels|cam\w*)\d*$", re.IGNORECASE)
 ACTION = ("action", "actions", "command", "commands", "control", "u")
@@ -130,10 +130,11 @@ class ArrayRecording:
     def _episode(self, label, arrays, camera, action_keys, state_keys, time_key, first, last, whole) -> Episode:
         action_names, action = self._values(arrays, action_keys, first, last)
         state_names, state = self._values(arrays, state_keys, first, last)
-        times = None
+        times, notes = None, []
         if time_key:
-            scale = time_scale(time_key.rpartition("/")[2]) or 1.0
-            times = as_seconds(np.asarray(arrays[time_key][first:last]).ravel(), scale)
+            key, scale = wanted_times(time_key, arrays)
+            column = np.asarray(arrays[key][first:last]).ravel()
+            times, notes = as_seconds(column, scale or 1.0), slow_note(time_key, column)
         pictures = arrays[camera]
         # N + 1 pictures with N commands: only where the file holds one episode can the last picture be told
         count = len(pictures) if whole else last - first
@@ -154,6 +155,7 @@ class ArrayRecording:
             state_units=units_of(state_names),
             times=times,
             paired=True,
+            notes=notes,
         )
 
     @staticmethod

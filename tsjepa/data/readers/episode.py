@@ -99,7 +99,7 @@ class Streams:
         camera: image stream, by name, key or topic.
         action: columns, keys or topics of the command, as a list or with commas between them.
         state: the same of the state.
-        time: column or key of the rows' times.
+        time: column or key of the rows' times; its unit may stand behind it, as in 'time(ms)', where its name has none.
         rate_hz: pictures a second, for formats without times.
     """
 

@@ -112,13 +112,14 @@ class Videos:
     def _episode(self, source: Path) -> Episode:
         table = self._rows_of(source)
         listed, shown = self._listed(table)
-        notes = []
+        notes: list[str] = []
         if source in self.folders and listed is None and self.folders[source]:
             rows = numbered.rows_of_pictures(self.folders[source], table)
             if rows is not None:
                 table, notes = self._take(table, rows)
         times = stamps.time_column(table, self.streams.time)
         skip = {times[0]} if times else set()
+        slow = stamps.slow_note(self.streams.time or times[0], table[times[0]]) if times else []
         action_names, action = names.columns_like(table, self.streams.action, "action", skip)
         if not action_names:
             others = [name for name, column in table.items() if column.dtype != object and name not in skip]
@@ -137,7 +138,7 @@ class Videos:
             state_units=names.units_of(state_names),
             times=times[1] if times else None,
             paired=times is None or listed is not None or bool(notes),
-            notes=notes,
+            notes=[*notes, *slow],
         )
 
     def _take(self, table: tables.Table, rows: np.ndarray) -> tuple[tables.Table, list[str]]:
@@ -149,7 +150,8 @@ class Videos:
         )  # fmt: skip
         if stamps.time_column(table, self.streams.time) is None and lost:
             if not self.streams.rate_hz:
-                raise ValueError(f"{note[:-1]}; say how many there are a second (--rate_hz).")
+                raise ValueError(f"{note[:-1]}; name the column of their times (--time), or say how many there are a "
+                                 "second (--rate_hz).")  # fmt: skip
             table = {**table, "time": np.arange(count) / self.streams.rate_hz}
         return {name: column[rows] for name, column in table.items()}, [note]
 
