@@ -1,6 +1,7 @@
 """Export to LeRobot v3.0 and import again: the same bits, and the layout that LeRobot's own writer leaves."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -82,8 +83,14 @@ def test_the_layout_is_that_of_lerobots_own_writer(data_set, tmp_path):
     )
 
 
-def test_splits_are_spans_of_episodes_and_rows_count_on(data_set, tmp_path):
+def test_splits_are_spans_of_episodes_and_rows_count_on(data_set, tmp_path, capsys):
+    capsys.readouterr()
     ours = export_data(str(data_set), str(tmp_path / "lerobot"))
+    assert re.fullmatch(
+        rf"{re.escape(str(ours))}: 7 episodes of LeRobot v3.0, slots of 0.05 s, 35 pictures, episodes of the splits: "
+        r"train 0:\d, .*\d:7\.\n",
+        capsys.readouterr().out,
+    )
     info = json.loads((ours / "meta/info.json").read_text())
     counts = {name: entry["episodes"] for name, entry in read_metadata(data_set)["splits"].items()}
     assert {name: int(span.split(":")[1]) - int(span.split(":")[0]) for name, span in info["splits"].items()} == counts

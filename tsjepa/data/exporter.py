@@ -58,14 +58,20 @@ def export_data(
     partial = folder.with_name(folder.name + ".partial")
     shutil.rmtree(partial, ignore_errors=True)
     try:
-        _write(Path(path), partial, metadata, task, codec)
+        info = _write(Path(path), partial, metadata, task, codec)
         replace_folder(partial, folder)
     finally:
         shutil.rmtree(partial, ignore_errors=True)
+    print(
+        f"{folder}: {info['total_episodes']} episodes of LeRobot {VERSION}, slots of {spec_of(metadata).slot:.6g} s, "
+        f"{info['total_frames']} pictures, episodes of the splits: "
+        f"{', '.join(f'{name} {span}' for name, span in info['splits'].items())}."
+    )
     return folder
 
 
-def _write(path: Path, folder: Path, metadata: dict, task: str, codec: str) -> None:
+def _write(path: Path, folder: Path, metadata: dict, task: str, codec: str) -> dict:
+    """Writes all files; returns what ``meta/info.json`` says."""
     spec = spec_of(metadata)
     rate = Fraction(1 / spec.slot).limit_denominator(10_000)  # of rows and video alike: LeRobot compares their times
     spans, entries, start = {}, [], 0
@@ -102,6 +108,7 @@ def _write(path: Path, folder: Path, metadata: dict, task: str, codec: str) -> N
         "features": features(split, spec, _plain(rate), codec),
     }
     (folder / "meta/info.json").write_text(json.dumps(info, indent=4) + "\n")
+    return info
 
 
 def _plain(rate: Fraction) -> int | float:
