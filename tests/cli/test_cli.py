@@ -13,12 +13,14 @@ import pytest
 import tiny
 import tiny_controller
 import tiny_data
+import yaml
 
 from tsjepa import cli
 from tsjepa.cli import command_line, doctor
 from tsjepa.cli.afterwards import STEPS, next_step
 from tsjepa.cli.errors import explain
 from tsjepa.data import storage
+from tsjepa.envs import Radio
 from tsjepa.models import entries
 from tsjepa.plants import CartPole, Pendulum, Reacher
 from tsjepa.support import recipes
@@ -117,18 +119,45 @@ def test_json_is_all_that_stands_on_standard_output(capsys):
 @pytest.mark.parametrize(
     ("command", "values", "result"),
     [
-        ("fit", {}, {"acts": True, "model": "runs/actor/model", "data": "data/cartpole"}),
         ("evaluate", {"model": "tsjepa-cartpole"}, {"closed_loop": []}),
-        ("evaluate", {"model": "tsjepa-cartpole"}, {"open_loop": {}}),
-        ("simulate", {"controller": "hold"}, {"fleet": {}}),
+        ("evaluate", {"model": "tsjepa-cartpole"}, {"open_loop": {"command_nmae": 0.1}}),
         ("export", {}, {"entry": "checkpoints/mine"}),
         ("figures", {}, [{"figure": "bits", "points": 3}]),
     ],
 )
 def test_what_to_do_next_is_a_command_that_parses(capsys, command, values, result):
     said = next_step(command, values, result)
-    words = said[said.index(": tsjepa ") :].split()[2:]
-    assert run(capsys, *words, "--print_config")[0] == 0, said
+    assert run(capsys, *words_of(said), "--print_config")[0] == 0, said
+
+
+def words_of(said: str) -> list[str]:
+    return shlex.split(said.partition(": tsjepa ")[2])
+
+
+@pytest.mark.parametrize("plant", ["recorded", None])
+def test_after_the_actor_its_model_is_evaluated(capsys, tmp_path, plant):
+    data = tiny_data.write(tmp_path / "data")
+    if plant is None:
+        metadata = json.loads((data / storage.METADATA).read_text())
+        (data / storage.METADATA).write_text(json.dumps(metadata | {"plant": None}))
+    said = next_step("fit", {}, {"acts": True, "model": "runs/actor/model", "data": str(data)})
+    assert run(capsys, *words_of(said), "--print_config")[0] == 0, said
+    assert ("loop" in said) == (plant is not None)  # a recording has none that could be closed
+
+
+def test_the_search_after_a_fleet_keeps_all_that_its_command_said(capsys, tmp_path):
+    options = ["--num_devices", "6", "--schedulers", "[max_age, random]", "--radio.resource_blocks", "2"]
+    options += ["--slots", "7", "--record", str(tmp_path / "fleet.rrd"), "--plant", "tsjepa.plants.Pendulum"]
+    values = {"num_devices": 6, "radio": Radio(resource_blocks=2), "output": "runs/six", "record": "fleet.rrd"}
+    words = words_of(next_step("simulate", values, {"fleet": {}}, options))
+    status, shown, _ = run(capsys, *words, "--print_config")
+    found = yaml.safe_load(shown)
+    assert status == 0
+    assert (found["num_devices"], found["search_over"], found["record"]) == (None, [2, 3, 6, 12, 24], None)
+    assert (found["schedulers"], found["radio"]["resource_blocks"]) == (["max_age", "random"], 2)
+    assert (found["slots"], found["output"]) == (7, "runs/six-search")
+    assert found["plant"]["class_path"].endswith("Pendulum")
+    assert next_step("simulate", values, {"search": {}}, words[1:]) is None
 
 
 @pytest.mark.slow
@@ -137,9 +166,10 @@ def test_the_actor_after_a_fit_on_a_recording_learns_on_what_it_has(tmp_path, mo
     tiny.write(tmp_path, "recipes/actor.yaml", tiny.shrink(tiny.load("recipes/actor.yaml")))
     monkeypatch.chdir(tmp_path)
     result = {"acts": False, "data": str(tiny_data.write(Path("data"), slots=70, **splits))}
-    result["model"] = str(entries.save(tiny_controller.tiny(), "runs/jepa/model"))
-    assert cli.main(shlex.split(next_step("fit", {}, result).partition(": tsjepa ")[2])) == 0
-    assert entries.load("runs/actor/model").code_low.isfinite().all()  # which the finishes found
+    result["model"] = str(entries.save(tiny_controller.tiny(), "runs/mine-jepa/model"))
+    assert cli.main(words_of(next_step("fit", {}, result))) == 0
+    # beside the main job's actor, with what the finishes found
+    assert entries.load("runs/mine-actor/model").code_low.isfinite().all()
 
 
 def test_the_actor_after_a_fit_on_the_recipes_data_is_the_recipes(tmp_path):
@@ -163,11 +193,29 @@ def test_the_actor_after_a_fit_on_the_recipes_data_is_the_recipes(tmp_path):
 def test_the_fit_after_a_data_set_has_its_sizes(capsys, tmp_path, command, plant, needed):
     metadata = {"format": storage.FORMAT, "files": {}, "spec": plant.spec.to_dict(), "splits": {"train": {}}}
     (tmp_path / storage.METADATA).write_text(json.dumps(metadata))
-    words = next_step(command, {}, tmp_path).split(": tsjepa ")[1].split()
+    words = words_of(next_step(command, {}, tmp_path))
     prefix = "--model.init_args."
     assert {name.removeprefix(prefix): size for name, size in pairwise(words) if name.startswith(prefix)} == needed
-    assert words[-2:] == ["--trainer.limit_val_batches", "0"]  # without a split to validate on
+    assert words[-4:-2] == ["--trainer.limit_val_batches", "0"]  # without a split to validate on
+    assert words[-2:] == ["--trainer.default_root_dir", f"runs/jepa-{tmp_path.name}"]  # not over the main job's model
     assert run(capsys, *words, "--print_config")[0] == 0
+
+
+@pytest.mark.parametrize(("frame", "named"), [((40, 96), "DifferenceEncoder"), ((50, 70), "--size")])
+def test_pictures_that_the_recipes_encoder_refuses_get_another_one_or_another_size(capsys, tmp_path, frame, named):
+    spec = CartPole().spec.to_dict() | {"frame": list(frame)}
+    metadata = {"format": storage.FORMAT, "files": {}, "spec": spec, "splits": {"train": {}, "validation": {}}}
+    (tmp_path / storage.METADATA).write_text(json.dumps(metadata))
+    words = words_of(next_step("import", {"size": list(frame)}, tmp_path, ["films", "data/films"]))
+    status, shown, _ = run(capsys, *words, "--print_config")
+    assert status == 0
+    found = yaml.safe_load(shown)
+    if named == "--size":
+        assert (found["size"], words[0]) == ([64, 64], "import")  # the nearest multiples of 32
+    else:
+        encoder = found["model"]["init_args"]["encoder"]
+        assert encoder["class_path"].endswith(named)
+        assert (encoder["init_args"]["height"], encoder["init_args"]["width"]) == frame
 
 
 def test_what_to_do_next_covers_every_case_above_and_no_other():

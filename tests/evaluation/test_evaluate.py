@@ -3,17 +3,22 @@ import json
 import cv2
 import pytest
 import tiny_controller
+import tiny_data
 import torch
 from tensordict import TensorDict
 
 from tsjepa import cli
+from tsjepa.envs import Radio
 from tsjepa.evaluation.conditions import warn_of_another_renderer
 from tsjepa.evaluation.evaluate import evaluate
 from tsjepa.evaluation.films import imagine
 from tsjepa.evaluation.open_loop import command_error, probed_prediction_error
+from tsjepa.evaluation.simulate import simulate
 from tsjepa.evaluation.summary import ERRORS, FIRST_LOST, table
 from tsjepa.models import entries
 from tsjepa.plants import CartPole, build_plant
+from tsjepa.zoo.deploy import graphs
+from tsjepa.zoo.export import export
 
 pytestmark = pytest.mark.slow  # every test starts a process, trains or closes loops
 
@@ -147,6 +152,26 @@ def test_the_same_evaluation_gives_the_same_figures_and_a_film(model, tmp_path):
     assert capture.get(cv2.CAP_PROP_FRAME_COUNT) == 50
     assert capture.read()[1].shape == (3 * 64 + 12, 4 * 3 * 128, 3)
     assert cv2.imread(str(tmp_path / "first" / "inside.png")).shape == (5 * (3 * 64 + 12), 4 * 3 * 128, 3)
+
+
+def test_a_model_without_an_actor_is_scored_on_data_alone(tmp_path, capsys):
+    made = tiny_controller.tiny()
+    made.actor = None
+    folder = str(entries.save(made, tmp_path / "model"))
+    for command in (
+        lambda: evaluate(folder, output=str(tmp_path / "out"), **SMALL),
+        lambda: simulate(2, controller=folder, radio=Radio(resource_blocks=1), output=str(tmp_path / "fleet")),
+        lambda: graphs(entries.load(folder)),
+        lambda: export(folder, "mine", folder=str(tmp_path / "zoo")),
+    ):
+        with pytest.raises(ValueError, match="no actor yet"):
+            command()
+    assert {path.name for path in tmp_path.iterdir()} == {"model"}
+    data = str(tiny_data.write(tmp_path / "data", test=3))
+    result = evaluate(folder, output=str(tmp_path / "out"), data=data, **SMALL)
+    assert "closed_loop" not in result
+    assert {"skill_over_copying", "probe_rmse"} <= result["open_loop"].keys() - {"command_nmae"}
+    assert "this model has no actor yet" in capsys.readouterr().out
 
 
 @pytest.mark.slow

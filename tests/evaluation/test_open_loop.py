@@ -59,6 +59,10 @@ def test_one_trajectory_has_no_interval():
     assert skill(0.5, 0.1)["skill_interval_95"]["10"] is None
 
 
+def test_an_encoder_that_sees_no_difference_has_no_skill():
+    assert set(skill(0.5, 0.0, 0.0)["skill_over_copying"].values()) == {None}
+
+
 def test_numbers_of_a_command_that_never_change_do_not_make_its_error_smaller():
     spec = PlantSpec(action_low=(-1.0, 2.5), action_high=(1.0, 3.5), slot=0.1, frame=(64, 64))
     action = torch.stack((torch.linspace(-1, 1, 9), torch.full((9,), 3.0)), dim=1)

@@ -232,6 +232,28 @@ def test_a_model_of_a_recording_has_no_plant_and_one_without_states_no_probe(tmp
         loaded.decode(loaded.encode(frames()))
 
 
+def test_the_folder_of_a_fit_stands_for_its_model_once_it_has_one(tmp_path):
+    run = tmp_path / "run"
+    (run / "checkpoints").mkdir(parents=True)
+    (run / "checkpoints" / "last.ckpt").touch()
+    (run / "config.yaml").write_text("trainer: {}")  # which an entry has as well
+    with pytest.raises(FileNotFoundError, match=r"has left no model: go on with it .* --ckpt_path last"):
+        entries.load(run)
+    tiny().save_pretrained(run / "model")
+    assert entries.load(run).entry_sha256 == entries.fingerprint(run / "model")
+
+
+def test_a_model_without_an_actor_is_stored_predicts_and_says_that_it_does_not_act(tmp_path):
+    model = tiny()
+    model.actor = None
+    found = entries.load(model.save_pretrained(tmp_path / "jepa"))
+    embedding, command = torch.randn(2, 8), torch.zeros(2, 1)
+    assert torch.equal(found.predict(embedding, command), model.eval().predict(embedding, command))
+    assert not found.acts
+    with pytest.raises(ValueError, match=r"no actor yet.* recipes/actor\.yaml"):
+        found.act(embedding)
+
+
 def test_parts_that_control_nothing_may_lack_and_say_so_and_no_others(entry, tmp_path):
     config, weights = yaml.safe_load((entry / CONFIG).read_text()), load_file(entry / WEIGHTS)
     bare = {name: value for name, value in weights.items() if not name.startswith(("decoder.", "code_"))}

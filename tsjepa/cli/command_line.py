@@ -133,7 +133,7 @@ def _answer(command: str, options: list[str], program: str, trusted: bool, as_js
             values, result = run_command(command, options, program)
     if as_json:
         print(json.dumps({"path": str(result)} if isinstance(result, Path) else result, indent=2))
-    elif (step := next_step(command, values, result)) is not None:
+    elif (step := next_step(command, values, result, options)) is not None:
         print(f"Next, {step}{' --trust' * trusted}")
     return 1 if command == "doctor" and (result or {}).get("mend") else 0
 

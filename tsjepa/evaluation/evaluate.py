@@ -32,6 +32,7 @@ from tsjepa.support.recording import check_recording
 
 LABELS = {"tsjepa": "TS-JEPA"}  # by kind of model; the others are called by their kind
 NO_PLANT = "Closed loops are left out, because they need a plant and this model was trained on a recording."
+NO_ACTOR = "Closed loops and the command error are left out, because this model has no actor yet."
 NO_DATA = "Command error on trajectories, probe error and prediction skill are left out, because no data set is given."
 
 
@@ -83,7 +84,7 @@ def evaluate(
         device: where the model computes, such as cuda.
 
     Raises:
-        ValueError: an argument that cannot be, or neither a plant nor data.
+        ValueError: an argument that cannot be, neither a plant nor data, or neither an actor nor data.
         FileNotFoundError: there is no such model or data set.
     """
     if not periods:
@@ -94,15 +95,17 @@ def evaluate(
         check_recording(record)
     controller = load_on(model, device)
     metadata = read_metadata(data) if data else None  # a missing data set is said before the loops are run
-    machine = plant_of(controller, plant, process_noise_std)
+    if not controller.acts and not data:
+        controller.check_acts()
+    machine = plant_of(controller, plant, process_noise_std) if controller.acts else None
     if machine is None and record is not None:
-        raise ValueError(f"The model {model} was trained on a recording: record needs a plant whose loop it can show.")
+        raise ValueError(f"The model {model} has no plant or no actor: record needs a plant whose loop it can show.")
     if machine is None and not data:
         raise ValueError(f"The model {model} was trained on a recording: give --data to evaluate it, or a plant.")
     result = {"made_by": provenance(), "machine": computer(), "model": model, "model_sha256": controller.entry_sha256}
     loop = None
     if machine is None:
-        print(NO_PLANT)
+        print(NO_PLANT if controller.acts else NO_ACTOR)
     else:
         loop = held_out_loop(controller, machine, starts_per_seed, slots, frame_history, blend, codec)
         of = seeds_of(controller, seeds, first_seed)

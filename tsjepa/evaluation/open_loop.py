@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from typing import Any
+
 import torch
 from scipy import stats
 from tensordict import TensorDictBase
@@ -20,13 +23,13 @@ LONGEST_HORIZON = 50
 def open_loop_metrics(model: Controller, data: str, split: str = "test") -> dict:
     """All figures of one split of the data set in ``data``; RMSE in the units of the state.
 
-    What is said about predictions is left out of a controller that makes none, and what is said about states where
-    nobody recorded or probes them. The command error is that to the expert, or to the recorded commands where no expert
-    was asked.
+    What is said about predictions or commands is left out of a controller that makes none, and what is said about
+    states where nobody recorded or probes them. The command error is that to the expert, or to the recorded commands
+    where no expert was asked.
     """
     embedded = embed_split(model.encoder, open_split(data, split), model.frame_spacing)
     rows = embedded.flatten(0, 1)
-    figures = command_error(model, rows)
+    figures: dict[str, Any] = command_error(model, rows) if model.acts else {}
     if model.probe is not None and "state" in rows:
         figures["probe_rmse"] = (probed(model, rows["embedding"]) - rows["state"]).square().mean(0).sqrt().tolist()
     figures["effective_rank"] = float(effective_rank(rows["embedding"]))
@@ -44,7 +47,9 @@ def open_loop_metrics(model: Controller, data: str, split: str = "test") -> dict
 
 def skill_over_copying(model: Controller, embedded: TensorDictBase) -> dict:
     """By horizon, how much nearer the prediction is than the copied embedding (1: perfect, 0: not at all), and the
-    half-width of its 95 % interval over trajectories (jackknife, Student's t), None where there is but one.
+    half-width of its 95 % interval over trajectories (jackknife, Student's t).
+
+    None where there is none: no interval of one trajectory, nor a skill where all embeddings are alike.
     """
     horizons = [horizon for horizon in SKILL_HORIZONS if horizon < embedded.shape[1]]
     pair = prediction_errors(model.predictor, embedded["embedding"], embedded["action"], max(horizons))
@@ -52,15 +57,14 @@ def skill_over_copying(model: Controller, embedded: TensorDictBase) -> dict:
     count = len(error)
     skill = 1 - error.sum(0) / copied.sum(0)
     without = 1 - (error.sum(0) - error) / (copied.sum(0) - copied)  # one of the trajectories
-    half = [None] * len(horizons)
-    if count > 1:
-        spread = ((count - 1) / count * (without - without.mean(0)).square().sum(0)).sqrt()
-        half = (stats.t.ppf(0.975, count - 1) * spread).tolist()
-    names = [str(horizon) for horizon in horizons]
-    return {
-        "skill_over_copying": dict(zip(names, skill.tolist(), strict=True)),
-        "skill_interval_95": dict(zip(names, half, strict=True)),
-    }
+    spread = ((count - 1) / count * (without - without.mean(0)).square().sum(0)).sqrt()
+    half = stats.t.ppf(0.975, count - 1) * spread
+
+    def by_horizon(values: Tensor) -> dict[str, float | None]:
+        pairs = zip(horizons, values.tolist(), strict=True)
+        return {str(horizon): value if math.isfinite(value) else None for horizon, value in pairs}
+
+    return {"skill_over_copying": by_horizon(skill), "skill_interval_95": by_horizon(half)}
 
 
 def command_error(model: Controller, rows: TensorDictBase) -> dict:

@@ -175,16 +175,19 @@ def load_controller(name: str, device: str = "cpu") -> str | Controller:
 
     Raises:
         FileNotFoundError: there is none of this name.
+        ValueError: it has no actor.
     """
     if name in ON_STATE:
         return name
     try:
-        return load_on(name, device)
+        model = load_on(name, device)
     except FileNotFoundError as error:
         raise FileNotFoundError(
             f"There is no controller {name!r}: choose the folder of a model, or {', '.join(ON_STATE)}, or an entry "
             "that `tsjepa zoo` lists."
         ) from error
+    model.check_acts()
+    return model
 
 
 def plant_for(controller: str | Controller, plant: Plant | None) -> Plant:

@@ -15,6 +15,10 @@ from tsjepa.models import entries, hub
 from tsjepa.support.spec import PlantSpec
 
 Model = TypeVar("Model", bound="Controller")
+NO_ACTOR = (
+    "This model has no actor yet, so that it commands nothing: fit one with `tsjepa fit --config recipes/actor.yaml "
+    "--model.init_args.pretrained FOLDER`, and take the model that this leaves."
+)
 
 
 class Controller(nn.Module):
@@ -76,6 +80,20 @@ class Controller(nn.Module):
     def has_observer(self) -> bool:
         """Whether its devices remember what they have seen, and send what they believe."""
         return False
+
+    @property
+    def acts(self) -> bool:
+        """Whether it has what makes commands of embeddings; a TS-JEPA has no actor before one is fitted to it."""
+        return True
+
+    def check_acts(self) -> None:
+        """Refuses a model that makes no commands.
+
+        Raises:
+            ValueError: it has no actor.
+        """
+        if not self.acts:
+            raise ValueError(NO_ACTOR)
 
     def encode(self, frames: Tensor) -> Tensor:
         """uint8 [..., frame_stack, H, W, 3], oldest first, to embeddings [..., d]."""

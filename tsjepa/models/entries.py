@@ -47,11 +47,18 @@ def names() -> list[str]:
 
 
 def find(name_or_path: str | Path) -> Path:
-    """Folder of an entry, by name or by path.
+    """Folder of an entry, by name, by path, or by the folder of the fit that has left it below ``model``.
 
     Raises:
-        FileNotFoundError: there is neither such an entry nor such a folder.
+        FileNotFoundError: there is neither such an entry nor such a folder, or the fit has not ended.
     """
+    run = Path(name_or_path)
+    if (run / "model" / MANIFEST).is_file():
+        return run / "model"
+    if (run / "checkpoints" / "last.ckpt").is_file() and not (run / MANIFEST).exists():
+        raise FileNotFoundError(
+            f"The fit in {run} has left no model: go on with it by the command that began it and --ckpt_path last."
+        )
     for folder in (Path(name_or_path), zoo_folder() / str(name_or_path)):
         if (folder / CONFIG).exists() or (folder / MANIFEST).exists():
             return folder

@@ -6,7 +6,7 @@ from typing import ClassVar
 
 from torch import Tensor, nn
 
-from tsjepa.models.controller import Controller
+from tsjepa.models.controller import NO_ACTOR, Controller
 from tsjepa.support.spec import PlantSpec
 
 
@@ -17,7 +17,7 @@ class SemanticController(Controller):
 
     Args:
         encoder: see :class:`Controller`.
-        actor: from an embedding [..., d] and set-points [..., r] to a command [..., m].
+        actor: from an embedding [..., d] and set-points [..., r] to a command [..., m]; None before one is fitted.
         frame_spacing: slots between the frames of a stack.
         spec: names, units and ranges of the plant.
         predictor: from an embedding and a command to the next embedding; None for a controller that holds its last
@@ -32,7 +32,7 @@ class SemanticController(Controller):
     def __init__(
         self,
         encoder: nn.Module,
-        actor: nn.Module,
+        actor: nn.Module | None,
         frame_spacing: int,
         spec: PlantSpec,
         predictor: nn.Module | None = None,
@@ -58,6 +58,11 @@ class SemanticController(Controller):
     def has_observer(self) -> bool:
         """Whether its devices remember what they have seen, and send what they believe."""
         return self.observer is not None
+
+    @property
+    def acts(self) -> bool:
+        """Whether it has an actor."""
+        return self.actor is not None
 
     def predict(self, embedding: Tensor, command: Tensor) -> Tensor:
         """Embedding [..., d] one slot later under ``command`` [..., m].
@@ -100,7 +105,13 @@ class SemanticController(Controller):
         return belief
 
     def act(self, embedding: Tensor, reference: Tensor | None = None) -> Tensor:
-        """Command [..., m] for ``embedding`` [..., d] and set-points [..., r]."""
+        """Command [..., m] for ``embedding`` [..., d] and set-points [..., r].
+
+        Raises:
+            ValueError: this controller has no actor.
+        """
+        if self.actor is None:
+            raise ValueError(NO_ACTOR)
         return self.actor(embedding, reference)
 
     def decode(self, embedding: Tensor) -> Tensor:

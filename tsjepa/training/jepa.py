@@ -93,6 +93,7 @@ class TSJEPA(lightning.LightningModule):
     def setup(self, stage: str) -> None:
         data = self.trainer.datamodule
         controller = new_controller(self.encoder, self.predictor, data.metadata, data.frame_spacing)
+        controller.actor = None  # one that nothing has trained would be taken for one that has learned
         # in a tuple, so that its other parts are no parameters of this module: neither optimized nor in checkpoints
         self.untrained = (controller,)
 
@@ -176,7 +177,7 @@ class TSJEPA(lightning.LightningModule):
         self.target_encoder.update_parameters(self.encoder)
 
     def controller(self) -> SemanticController:
-        """Encoder and predictor as a controller; actor, probe and decoder are yet to be trained."""
+        """Encoder and predictor as a controller without an actor; probe and decoder are yet to be trained."""
         return self.untrained[0]
 
     def validation_step(self, batch: TensorDictBase, batch_index: int) -> None:

@@ -44,7 +44,7 @@ class FitObserver(lightning.LightningModule):
         weight_decay: of AdamW, on the predictor's weights only: towards no correction the gain must not be drawn.
 
     Raises:
-        ValueError: a controller without a predictor, or with one of several strides.
+        ValueError: a controller without a predictor or an actor, or with a predictor of several strides.
     """
 
     def __init__(self, pretrained: str, learning_rate: float = 1e-3, weight_decay: float = 1e-4) -> None:
@@ -56,6 +56,7 @@ class FitObserver(lightning.LightningModule):
             raise ValueError(f"{pretrained!r} has no predictor, which an observer corrects: take a TS-JEPA.")
         if isinstance(predictor, HierarchicalPredictor):
             raise ValueError(f"The predictor of {pretrained!r} has several strides: take one of single slots.")
+        model.check_acts()
         model.observer, model.metrics, model.card = Observer(model.embedding_dim), None, ""
         self.model = model
         train_only(model, model.observer, predictor)

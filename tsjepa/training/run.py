@@ -215,10 +215,7 @@ def result_of(command: str, line: LightningCLI) -> dict[str, Any]:
     """What :func:`run_lightning` returns."""
     result: dict[str, Any] = {"metrics": {name: float(value) for name, value in line.trainer.callback_metrics.items()}}
     if command == "fit":
-        trained = {id(parameter) for parameter in line.model.parameters()}
-        # a TS-JEPA's controller comes with an actor that is yet to be trained, and is none of the module's
-        actor = getattr(line.model.controller(), "actor", None)
-        result["acts"] = actor is None or all(id(parameter) in trained for parameter in actor.parameters())
+        result["acts"] = line.model.controller().acts
         result["model"] = str(Path(line.trainer.default_root_dir) / "model")
         result["data"] = str(line.datamodule.path)
     return result

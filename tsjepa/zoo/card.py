@@ -159,7 +159,7 @@ def open_loop(metrics: dict) -> list[str]:
         return []
     wanted = "the recorded commands" if figures.get("command_nmae_to") == "action" else "the expert's"
     sentence = f"On recorded test trajectories the command NMAE, to {wanted}, is {figures['command_nmae']:.4f}"
-    skill = figures.get("skill_over_copying", {})
+    skill = {horizon: value for horizon, value in figures.get("skill_over_copying", {}).items() if value is not None}
     if skill:
         values = ", ".join(f"{value:.3f}" for value in skill.values())
         sentence += f"; the prediction skill over copying after {', '.join(skill)} slots is {values}"

@@ -103,8 +103,9 @@ def graphs(model: Controller) -> dict[str, Graph]:
     actor takes set-points they are an input of the last two.
 
     Raises:
-        ValueError: the model came without the ranges of its integer codec.
+        ValueError: the model has no actor, or came without the ranges of its integer codec.
     """
+    model.check_acts()
     codec = embedding_codec(CODEC, model)
     if isinstance(model, AutoencoderController):
         act, set_points = Reconstruct(model.decoder, model.estimator, model.law), model.spec.reference_dim

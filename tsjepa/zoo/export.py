@@ -41,15 +41,17 @@ def export(
         ``entry``, the folder.
 
     Raises:
-        ValueError: a name with folders, an evaluation of other weights, a damaged file, or scores that 16 bits change.
+        ValueError: a name with folders, a model without an actor, an evaluation of other weights, a damaged file, or
+            scores that 16 bits change.
         FileNotFoundError: there is no such run or evaluation.
         FileExistsError: the folder holds something else than an entry.
     """
     if name in ("", "..") or Path(name).name != name:
         raise ValueError(f"{name!r} is no name of an entry: leave out folders, which --folder gives.")
     entries.check_replaceable(Path(folder) / name)  # before what takes minutes
-    source = model_folder(run)
+    source = entries.find(run)
     model = entries.load(source)
+    model.check_acts()
     if not decoder and isinstance(model, AutoencoderController):
         raise ValueError("An autoencoder acts on what its decoder draws: leave decoder at true.")
     history = training_history(source)
@@ -68,12 +70,6 @@ def export(
     entry = entries.save(model, Path(folder) / name, metrics, card(name, model, metrics), metrics["weights"]["dtype"])
     print(f"{name} written to {entry}.")
     return {"entry": str(entry)}
-
-
-def model_folder(run: str) -> Path:
-    """Folder of the model that a fit has left, or ``run`` itself where that is a model."""
-    inside = Path(run) / "model"
-    return inside if (inside / entries.MANIFEST).is_file() else entries.find(run)
 
 
 def evaluation_of(model: Controller, source: Path, evaluation: str | None, history: list[dict]) -> dict:
