@@ -6,12 +6,13 @@ from functools import partial
 import pytest
 import torch
 
+from tsjepa.cli.errors import explain
 from tsjepa.radio import SCHEDULERS, Known, gated, grant, periodic, simulate_ages
+from tsjepa.radio.own_scheduler import checked
 from tsjepa.radio.schedulers import (
     built_in_name,
     channel_aware,
     channel_aware_literal,
-    checked,
     get_scheduler,
     layers_of,
     max_age,
@@ -215,14 +216,21 @@ def test_periodic_in_the_pure_network_mode():
 
 def test_bad_input_is_rejected():
     known = random_case(9, cases=1)
-    with pytest.raises(ValueError, match="unknown scheduler 'fifo'"):
+    with pytest.raises(ValueError, match=r"unknown scheduler 'fifo' \(there are round_robin, "):
         get_scheduler("fifo")
+    with pytest.raises(ValueError, match=r"'chanel_aware' - did you mean channel_aware\? \(there are") as refused:
+        get_scheduler("chanel_aware")
+    assert len(str(refused.value)) < 400
     with pytest.raises(ValueError, match="a function of one argument, known, not '--trust'"):
         get_scheduler("tsjepa.support.trust.TRUST")
     with pytest.raises(ValueError, match=r"scheduler os\.getcwd is not this package's own: add --trust"):
         get_scheduler("os.getcwd")
-    with pytest.raises(ValueError, match=r"scheduler tsjepa\.radio\.fifo cannot be imported"):
-        get_scheduler("tsjepa.radio.fifo")
+    with pytest.raises(
+        ValueError, match=r"tsjepa\.radio\.gate cannot be imported: .* no 'gate' - did you mean gated\?"
+    ):
+        get_scheduler("tsjepa.radio.gate")
+    with pytest.raises(ValueError, match=r"tsjepa\.absent\.mine cannot be imported: No module .* PYTHONPATH=\. before"):
+        get_scheduler("tsjepa.absent.mine")
     with pytest.raises(ValueError, match="aoi_reset"):
         channel_aware(known, aoi_reset="never")
     with pytest.raises(ValueError, match="unknown age_growth"):
@@ -251,7 +259,8 @@ def own(answer):
     ("answer", "said"),
     [
         (lambda known: (known.candidate, known.memory), "mine granted up to 3 units beyond the budget"),
-        (lambda known: known.candidate, "mine must return a pair of tensors"),
+        (lambda known: known.candidate, r"returned \[1, 5\] of torch.bool: a pair of tensors is wanted"),
+        (lambda known: (known.candidate, None), r"returned a tuple \(\[1, 5\] of torch.bool, a NoneType\): a pair"),
         (lambda known: (known.snr, known.memory), r"mine returned a schedule \[1, 5\] of torch.float32"),
         (lambda known: (known.candidate[:, :2], known.memory), r"mine returned a schedule \[1, 2\] of torch.bool"),
     ],
@@ -259,6 +268,35 @@ def own(answer):
 def test_an_answer_of_a_users_scheduler_that_cannot_be_is_refused_in_its_slot(answer, said):
     with pytest.raises(ValueError, match=said):
         simulate_ages(own(answer), num_devices=5, resource_blocks=2, slots=3)
+
+
+@pytest.mark.parametrize(
+    ("answer", "said"),
+    [
+        (lambda known: {}["x"], r"raised KeyError: 'x' \(TSJEPA_TRACEBACK=1 shows where\)\.$"),
+        (lambda known: known.snr * known.urgency, r"raised TypeError: .*; known.urgency is None here: give radio.requ"),
+        (lambda known: 2 * known.true_error + known.urgency, "known.urgency is None here"),
+        (lambda known: torch.exp(known.age_cost), "known.age_cost is None here: only the built-in schedulers"),
+        (lambda known: known.agee, r"raised AttributeError: .* - did you mean age\?$"),
+        (lambda known: known.deadline_of_each, "it has age, snr, success"),
+        (lambda known: SCHEDULERS["genie"](known), "raised ValueError: this scheduler decides by known.true_error"),
+        (lambda known: known.snr @ torch.ones(10_000, 3), "raised RuntimeError"),
+    ],
+)
+def test_what_a_users_scheduler_raises_is_one_sentence_that_names_it(answer, said):
+    with pytest.raises(ValueError, match=said) as refused:
+        simulate_ages(own(answer), num_devices=5, resource_blocks=2, slots=3)
+    assert str(refused.value).startswith(f"The scheduler {__name__}.mine raised ")
+    assert len(str(refused.value)) < 400
+    assert refused.value.__cause__.__traceback__ is not None
+    assert explain(refused.value) == str(refused.value)
+
+
+def test_the_memory_of_a_users_scheduler_is_float64_in_every_slot():
+    known = alike(1, 3, budget=3)
+    for memory in (known.age.to(torch.int64), known.memory.float() + 1):
+        given = checked(own(lambda known, memory=memory: (known.candidate, memory)))(known)[1]
+        assert given.dtype == torch.float64 and torch.equal(given, memory.double())
 
 
 def test_a_scheduler_that_was_typed_into_an_interpreter_is_checked_too():
@@ -279,6 +317,13 @@ def test_units_beyond_the_budget_are_counted_where_devices_need_several():
         checked(own(lambda known: (both, known.memory)))(absent)
 
 
+def test_a_gate_takes_the_name_of_a_scheduler_too():
+    known = random_case(13, cases=100)
+    assert torch.equal(gated("max_age")(known)[0], gated(max_age)(known)[0])
+    with pytest.raises(ValueError, match="unknown scheduler 'max_aeg' - did you mean max_age"):
+        gated("max_aeg")
+
+
 def test_what_ignores_the_budget_on_purpose_is_not_checked():
     for scheduler in (SCHEDULERS["oracle"], periodic(2), gated(SCHEDULERS["oracle"])):
         assert checked(scheduler) is scheduler
@@ -292,7 +337,7 @@ def test_a_checked_scheduler_can_be_sent_to_another_process():
 
 def test_names_of_functions_tell_their_arguments():
     assert name_of(periodic(5)) == "periodic(5)" and name_of("max_age") == "max_age"
-    assert name_of(gated(SCHEDULERS["max_age"])) == "gated(max_age)"
+    assert name_of(gated(SCHEDULERS["max_age"])) == name_of(gated("max_age")) == "gated(max_age)"
     assert name_of(partial(channel_aware, age_weight=2.0)) == "channel_aware(age_weight=2.0)"
 
 

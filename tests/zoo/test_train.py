@@ -63,6 +63,8 @@ def test_an_entry_or_a_number_of_seeds_that_cannot_be_is_named(tmp_path, monkeyp
     monkeypatch.chdir(tmp_path)
     with pytest.raises(ValueError, match="no recipe for 'absent': choose one of tsjepa-cartpole"):
         train("absent")
+    with pytest.raises(ValueError, match=r"no recipe for 'tsjepa-cartpole-d15' - did you mean tsjepa-cartpole-d\d+\?$"):
+        train("tsjepa-cartpole-d15")
     with pytest.raises(ValueError, match="seeds is 0"):
         train(NAME, 0)
     assert not list(tmp_path.iterdir())

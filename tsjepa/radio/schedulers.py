@@ -21,6 +21,7 @@ from tsjepa.radio.knowledge import Known
 from tsjepa.radio.need import channel_aware_cost, expected_urgency, first_contact, genie, urgency, whittle_cost
 from tsjepa.radio.streams import uniform
 from tsjepa.support.description import load_named
+from tsjepa.support.nearest import did_you_mean
 
 SchedulerFunction = Callable[[Known], tuple[Tensor, Tensor]]
 
@@ -160,8 +161,13 @@ def none(known: Known):
     return torch.zeros_like(known.candidate), known.memory
 
 
-def gated(scheduler: SchedulerFunction) -> SchedulerFunction:
-    """The same scheduler, allowed to pick only devices whose SNR may reach the threshold, given what is known."""
+def gated(scheduler: str | SchedulerFunction) -> SchedulerFunction:
+    """The same scheduler, allowed to pick only devices whose SNR may reach the threshold, given what is known.
+
+    Raises:
+        ValueError: see :func:`get_scheduler`.
+    """
+    scheduler = get_scheduler(scheduler)
 
     @wraps(scheduler)
     def gated_scheduler(known: Known):
@@ -206,9 +212,9 @@ def get_scheduler(scheduler: str | SchedulerFunction) -> SchedulerFunction:
         if scheduler in SCHEDULERS:
             return SCHEDULERS[scheduler]
         if "." not in scheduler:
-            known = ", ".join(SCHEDULERS)
+            meant, known = did_you_mean(scheduler, SCHEDULERS), ", ".join(SCHEDULERS)
             raise ValueError(
-                f"unknown scheduler {scheduler!r}: choose one of {known}, or give a function's import path"
+                f"unknown scheduler {scheduler!r}{meant} (there are {known}, or give a function's import path)"
             )
         scheduler = load_named("scheduler", scheduler)
     if not callable(scheduler):
@@ -235,47 +241,6 @@ def name_of(scheduler: str | SchedulerFunction) -> str:
         given = [*map(repr, scheduler.args), *(f"{key}={value!r}" for key, value in scheduler.keywords.items())]
         return f"{name_of(scheduler.func)}({', '.join(given)})"
     return scheduler if isinstance(scheduler, str) else getattr(scheduler, "__name__", type(scheduler).__name__)
-
-
-def checked(scheduler: SchedulerFunction) -> SchedulerFunction:
-    """The scheduler; one that is not this package's own with its answer checked in every slot.
-
-    Nothing after it would notice that more is sent than the radio carries. ``oracle``, ``once`` and ``periodic`` ignore
-    the budget on purpose.
-
-    Raises:
-        ValueError: in the slot, where the answer is no pair, no flag for each device, or beyond the budget.
-    """
-    module = getattr(scheduler, "__module__", None) or ""  # None of what was typed into an interpreter
-    if module.partition(".")[0] == __name__.partition(".")[0]:
-        return scheduler
-    return partial(_held_to_the_budget, scheduler)  # which can be sent to another process, as the function can
-
-
-def _held_to_the_budget(scheduler: SchedulerFunction, known: Known) -> tuple[Tensor, Tensor]:
-    answer = scheduler(known)
-    if not (isinstance(answer, tuple) and len(answer) == 2 and all(isinstance(part, Tensor) for part in answer)):
-        raise ValueError(f"The scheduler {name_of(scheduler)} must return a pair of tensors: (schedule, memory).")
-    schedule, memory = answer
-    if schedule.dtype != torch.bool or schedule.shape != known.memory.shape or memory.shape != known.memory.shape:
-        raise ValueError(
-            f"The scheduler {name_of(scheduler)} returned a schedule {_described(schedule)} and a memory "
-            f"{_described(memory)}: one flag (bool) and one number for each device are wanted, "
-            f"{list(known.memory.shape)}."
-        )
-    demand = torch.ones_like(schedule, dtype=torch.int64) if known.demand is None else known.demand
-    over = demand.masked_fill(~schedule, 0).sum(-1) - known.budget
-    if bool((over > 0).any()) or bool((schedule & ~known.candidate).any()):
-        raise ValueError(
-            f"The scheduler {name_of(scheduler)} granted up to {max(int(over.max()), 0)} units beyond the budget "
-            "or picked a device that is no candidate: end it with grant(score, known.candidate, known.demand, "
-            "known.budget)."
-        )
-    return schedule, memory
-
-
-def _described(tensor: Tensor) -> str:
-    return f"{list(tensor.shape)} of {tensor.dtype}"
 
 
 def _check_signature(scheduler: Callable) -> None:

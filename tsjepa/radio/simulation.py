@@ -9,7 +9,8 @@ from tsjepa.radio.belief import check_csi
 from tsjepa.radio.feedback import AckLearned
 from tsjepa.radio.knowledge import Known
 from tsjepa.radio.link import DECODE_THRESHOLD_DB, db_to_linear
-from tsjepa.radio.schedulers import SchedulerFunction, checked, get_scheduler
+from tsjepa.radio.own_scheduler import checked
+from tsjepa.radio.schedulers import SchedulerFunction, get_scheduler
 
 _CHUNK_ELEMENTS = 2**18
 

@@ -7,6 +7,8 @@ import inspect
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from tsjepa.support.foreign import reason
+from tsjepa.support.nearest import did_you_mean
 from tsjepa.support.trust import TRUST, may_import
 
 Allowed = Callable[[type], bool]
@@ -103,6 +105,16 @@ def load_named(what: str, path: str, trusted: bool = False) -> Any:
             "made it."
         )
     try:
-        return getattr(importlib.import_module(module), name)
-    except (ImportError, AttributeError, ValueError) as error:
-        raise ValueError(f"The {what} {path} cannot be imported: {error}.") from error
+        found = importlib.import_module(module)
+    except ModuleNotFoundError as error:
+        raise ValueError(
+            f"The {what} {path} cannot be imported: {error}; run from the folder of your file with PYTHONPATH=. before "
+            "the command, or install it."
+        ) from error
+    except Exception as error:  # whatever the module's own code raises
+        raise ValueError(f"The {what} {path} cannot be imported: {reason(error)}") from error
+    if not hasattr(found, name):
+        raise ValueError(
+            f"The {what} {path} cannot be imported: {module} has no {name!r}{did_you_mean(name, vars(found)) or '.'}"
+        )
+    return getattr(found, name)

@@ -14,6 +14,7 @@ from tsjepa.models import entries
 from tsjepa.support.checks import at_least
 from tsjepa.support.files import exclusive, read_json, write_json
 from tsjepa.support.journal import Journal, settings_in
+from tsjepa.support.nearest import did_you_mean
 from tsjepa.support.provenance import machine
 from tsjepa.support.recipes import find_recipe
 from tsjepa.zoo.child import run
@@ -50,7 +51,8 @@ def train(name: str, seeds: int = 1) -> Path:
         RuntimeError: a command failed.
     """
     if name not in ENTRIES:
-        raise ValueError(f"There is no recipe for {name!r}: choose one of {', '.join(ENTRIES)}.")
+        meant = did_you_mean(name, ENTRIES) or f": choose one of {', '.join(ENTRIES)}."
+        raise ValueError(f"There is no recipe for {name!r}{meant}")
     at_least(1, seeds=seeds)
     made, home = ENTRIES[name], Path(FOLDER) / name
     home.mkdir(parents=True, exist_ok=True)

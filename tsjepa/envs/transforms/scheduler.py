@@ -15,7 +15,8 @@ from tsjepa.radio.knowledge import Known
 from tsjepa.radio.link import DECODE_THRESHOLD_DB, db_to_linear, resource_units, units_per_slot
 from tsjepa.radio.links import AdaptedDecoding
 from tsjepa.radio.loss import GilbertElliott, IidLoss
-from tsjepa.radio.schedulers import SchedulerFunction, checked, get_scheduler
+from tsjepa.radio.own_scheduler import checked
+from tsjepa.radio.schedulers import SchedulerFunction, get_scheduler
 
 
 class Scheduler(SlotTransform):
