@@ -165,3 +165,9 @@ def test_views_are_one_trajectory_in_two_appearances(tmp_path):
 def test_a_split_without_views_is_refused(tmp_path):
     with pytest.raises(ValueError, match=r"splits\.train\.views is 0"):
         collect(str(tmp_path / "none"), PLANT, {"train": Split(2, views=0)}, slots=8)
+
+
+def test_pictures_of_another_size_than_the_spec_says_are_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(CartPole, "render", lambda self, scene: np.zeros((len(scene), 32, 128, 3), np.uint8))
+    with pytest.raises(ValueError, match=r"draws pictures of shape \[32, 128, 3\]; its spec says \[64, 128, 3\]"):
+        collect(str(tmp_path / "low"), PLANT, {"train": Split(1)}, slots=2)

@@ -153,6 +153,11 @@ def test_the_normaliser_scores_one_on_every_smaller_fleet_too():
     assert normalized_score(run(told, 1).raw_score(), optimal[1, :4]) == 1.0
 
 
+def test_an_expert_that_there_is_not_is_named():
+    with pytest.raises(ValueError, match=r"OpenPlant has no expert 'nobody'; there are .*set the plant's attribute"):
+        perfect_feedback(FLEET, "nobody").policy()
+
+
 def test_sending_raw_frames_or_their_embedding_is_the_same_control():
     loop = replace(FLEET, num_devices=3, controller=right_model(PLANT), scheduler="round_robin")
     embeddings = run(replace(loop, radio=Radio(resource_blocks=1, snr_target_db=8.0)), 0)

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
 
 import numpy as np
 import pytest
 import yaml
 
-from tsjepa.plants import CartPole, DoubleCartPole, Pendulum, Reacher, build_plant, describe_plant
+from tsjepa.data.collect import Split, collect
+from tsjepa.plants import CartPole, DoubleCartPole, Mixed, Pendulum, Reacher, build_plant, describe_plant
+from tsjepa.plants.plant import check_plant
+from tsjepa.plants.policies import Rest
 
 CHANGED = [
     CartPole(0.01, process_noise_std=(0.1, 0.2), random_colors=True, set_point_step=0.5, set_point_slots=40),
@@ -46,6 +50,38 @@ def test_a_plant_comes_back_from_yaml_as_it_was(plant):
     np.testing.assert_array_equal(*after)
     references = [one.references(3, device, episode, slot) for one in (plant, again)]
     assert references[0] is references[1] is None or np.array_equal(*references)
+
+
+@pytest.mark.parametrize(
+    "plant", [CartPole(), Mixed([CartPole(), CartPole(0.02)]), *CHANGED], ids=lambda plant: type(plant).__name__
+)
+def test_those_that_are_there_give_what_their_specs_say(plant):
+    check_plant(plant)
+
+
+@pytest.mark.parametrize(
+    ("method", "gives", "said"),
+    [
+        (
+            "experts",
+            lambda self: {"lqr": Rest((0.0,))},
+            "has no expert 'reference LQR'; there are ['lqr']: call one so",
+        ),
+        ("experts", lambda self: {}, "has no expert 'reference LQR'; there are []"),
+        (
+            "experts",
+            lambda self: {"reference LQR": Rest((0.0, 0.0))},
+            "gives an array of shape [2, 2]; it has to be [2, 1]",
+        ),
+        ("state", lambda self, physics: physics[:, :3], "gives an array of shape [2, 3]; it has to be [2, 4]"),
+        ("score", lambda self, state, reference=None: state > 0, "gives an array of shape [2, 4]; it has to be [2]"),
+        ("references", lambda self, *keys: np.zeros((2, 3)), "gives an array of shape [2, 3]; it has to be [2, 1]"),
+    ],
+)
+def test_a_plant_that_is_not_as_its_spec_says_is_refused_before_anything_is_written(tmp_path, method, gives, said):
+    with pytest.raises(ValueError, match=rf"(?=.*\b{method}\b).*{re.escape(said)}"):
+        collect(str(tmp_path / "set"), type("Own", (CartPole,), {method: gives})(), {"train": Split(2)}, slots=3)
+    assert not list(tmp_path.glob("set*"))
 
 
 def test_arguments_may_be_overridden():

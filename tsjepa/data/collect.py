@@ -20,6 +20,7 @@ from tsjepa.data.frames import release
 from tsjepa.data.storage import JOURNAL, METADATA, check_space, publish, start_split, write_picture
 from tsjepa.envs import FleetEnv
 from tsjepa.plants import Plant, build_plant, describe_plant
+from tsjepa.plants.plant import check_plant, expert_of
 from tsjepa.support.checks import at_least, within
 from tsjepa.support.files import exclusive, refuse_to_replace
 from tsjepa.support.journal import Journal
@@ -87,7 +88,7 @@ def simulate(
     plant: Plant, split: Split, coverage: Coverage, slots: int, warmup_slots: int, fleet: FleetEnv, seed: int
 ) -> TensorDict:
     """Runs ``split.episodes`` plants for ``slots`` slots; returns all but the pixels, [split.drawn, slots + 1]."""
-    spec, expert = plant.spec, next(iter(plant.experts().values()))
+    spec, expert = plant.spec, expert_of(plant)
     low, high = torch.tensor(spec.action_low), torch.tensor(spec.action_high)
     generator = torch.Generator().manual_seed(seed)
     noise = goals = None
@@ -173,6 +174,7 @@ def collect(
     at_least(1, slots=slots)
     if not splits or not all(name.isidentifier() for name in splits):
         raise ValueError(f"splits is {splits}; a data set needs at least one, and their names become folders.")
+    check_plant(plant)
     folder = Path(path)
     with exclusive(folder):
         if folder.exists() and not overwrite:
@@ -240,6 +242,11 @@ def render_missing(stored: dict[str, TensorDict], journal: Journal, workers: Wor
     with tqdm(total=total, unit="frame", desc=f"collect {name}") as progress:
         for index, pixels in run_items(render_episode, scenes(), workers):
             split, episode = missing[index]
+            if pixels.shape != stored[split]["pixels"][episode].shape:
+                raise ValueError(
+                    f"The plant draws pictures of shape {list(pixels.shape[1:])}; its spec says "
+                    f"{list(stored[split]['pixels'].shape[2:])}."
+                )
             stored[split]["pixels"][episode] = torch.from_numpy(pixels)
             release(stored[split]["pixels"])
             journal.add(f"{split} {episode}")

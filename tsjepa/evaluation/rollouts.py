@@ -16,7 +16,7 @@ from tsjepa.envs.make import HOLD, LOSSLESS, make_env, make_policy
 from tsjepa.envs.settings import Radio
 from tsjepa.evaluation.metrics import Run
 from tsjepa.models import Controller
-from tsjepa.plants.plant import Plant
+from tsjepa.plants.plant import Plant, expert_of
 from tsjepa.radio.schedulers import SchedulerFunction, periodic
 from tsjepa.support.seeds import HELD_OUT
 
@@ -75,7 +75,7 @@ class Loop:
 
     def policy(self) -> nn.Module:
         """The far end's controller."""
-        expert = self.plant.experts()[self.expert] if self.expert else None
+        expert = expert_of(self.plant, self.expert) if self.expert else None
         return make_policy(self.plant, self.controller, self.radio, expert, self.between)
 
 

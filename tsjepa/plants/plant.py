@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from typing import Any
 
 import numpy as np
 import torch
@@ -88,3 +89,45 @@ class Plant(ABC):
         Both are near the goal, P the solution of a Riccati equation; None where there are none.
         """
         return None
+
+
+def expert_of(plant: Plant, name: str | None = None) -> nn.Module:
+    """The plant's expert of this name, or the first, which is imitated.
+
+    Raises:
+        ValueError: it has none of that name.
+    """
+    experts = plant.experts()
+    name = next(iter(experts), plant.normaliser) if name is None else name
+    if name not in experts:
+        raise ValueError(
+            f"The plant {type(plant).__name__} has no expert {name!r}; there are {list(experts)}: call one so in "
+            "experts(), or set the plant's attribute normaliser to the name of one."
+        )
+    return experts[name]
+
+
+def check_plant(plant: Plant) -> None:
+    """Refuses a plant whose methods do not give what :class:`Plant` says, before a fleet of them is run.
+
+    Raises:
+        ValueError: it has no expert of its normaliser's name, or a method gives another shape than its spec's.
+    """
+    expert_of(plant, plant.normaliser)
+    spec, devices, episodes = plant.spec, np.arange(2), np.zeros(2, np.int64)
+    physics = plant.start(0, devices, episodes)
+    state, reference = plant.state(physics), plant.references(0, devices, episodes, episodes)
+    given: dict[str, tuple[Any, tuple[int, ...]]] = {"state": (state, (2, spec.state_dim))}
+    if reference is not None:
+        given["references"] = reference, (2, spec.reference_dim)
+        reference = torch.as_tensor(reference, dtype=torch.float32)
+    if np.shape(state) == (2, spec.state_dim):
+        known = torch.as_tensor(state, dtype=torch.float32)
+        given["experts"] = expert_of(plant)(known, reference), (2, spec.action_dim)
+        given |= {"score": (plant.score(known, reference), (2,)), "failed": (plant.failed(known), (2,))}
+    for method, (value, wanted) in given.items():
+        if np.shape(value) != wanted:
+            raise ValueError(
+                f"For 2 devices {method} of the plant {type(plant).__name__} gives an array of shape "
+                f"{list(np.shape(value))}; it has to be {list(wanted)}, as its spec says."
+            )
