@@ -63,6 +63,7 @@ def test_every_command_has_help(capsys, command):
     assert status == 0
     assert output.startswith("usage: tsjepa")
     assert "--config" in output
+    assert command in cli.LIGHTNING_COMMANDS or not re.search(r":\w+:`", output)  # no roles of reStructuredText
 
 
 @pytest.mark.parametrize(
@@ -72,6 +73,8 @@ def test_every_command_has_help(capsys, command):
         (["xyzzy"], "there is no command 'xyzzy' (commands: tsjepa --help)"),
         (["doctor", "--frames", "many"], "frames"),
         (["doctor", "--frmes", "3"], "unrecognized arguments: --frmes 3 - did you mean frames?"),
+        (["doctor", "--frame", "3"], "unrecognized arguments: --frame 3 - did you mean frames?"),
+        (["fit", "--model", "tsjepa.training.jepa.TSJEPA", "--ckpt", "last"], "--ckpt"),
         (["doctor", "--xyzzy", "3"], "unrecognized arguments: --xyzzy 3 (options: tsjepa doctor --help)"),
         (["fit", "--modl", "x"], "did you mean model?"),
         (["collect", "--plant", "CartPole", "--plant.sampling_intervall", "1"], "did you mean sampling_interval?"),
@@ -79,6 +82,14 @@ def test_every_command_has_help(capsys, command):
         (["fit", "--config", "absent.yaml"], "absent.yaml"),
         (["fit", "--trainer.max_epochs", "many"], "trainer.max_epochs"),
         (["fit", "--model", "tsjepa.training.Absent"], "Absent"),
+        (["simulate", "--schedulers=a,b"], "'schedulers': Expected a list, written \"[a, b]\". Got value: a,b"),
+        (["simulate", "--radio.priority=2"], "'radio.priority': Expected a list, written \"[a, b]\"; Given value: 2"),
+        (["simulate", "--radio.snr_target_db=a"], 'Expected float; Expected a list, written "[a, b]"; Given value: a'),
+        (["import", "x", "--size=64"], "'size': Expected a list, written \"[a, b]\"; Given value: 64"),
+        (["import", "x", "--size=[64]"], "'size': Expected a list of 2 elements; Given value: [64]"),
+        (["collect", "--plant=CartPole", "--plant.start_half_widths=1,2"], 'Expected a list, written "[a, b]". Got'),
+        (["zoo", "verfy"], "'action': Expected one of 'list', 'verify', 'train'. Got value: verfy"),
+        (["evaluate", "tsjepa-cartpole-d15"], "no model 'tsjepa-cartpole-d15' - did you mean tsjepa-cartpole-d1"),
     ],
 )
 def test_wrong_arguments_are_answered_in_one_line_and_status_2(capsys, arguments, named):
@@ -312,9 +323,15 @@ def test_shipped_recipes_are_found_from_anywhere(monkeypatch, tmp_path):
 
 
 @pytest.mark.slow
-def test_doctor_finds_this_machine_well(capsys):
+@pytest.mark.parametrize("load", [0.1, 1.7])
+def test_doctor_finds_this_machine_well_and_says_where_others_slow_it(capsys, monkeypatch, load):
+    monkeypatch.setattr(doctor.os, "getloadavg", lambda: (load, 0.0, 0.0))
+    if load > 1:  # what the estimate says is seen once
+        monkeypatch.setattr(doctor, "_speed", lambda rate: [])
     status, output, _ = run(capsys, "doctor", "--frames", "20")
     assert status == 0, output
+    assert ("estimate    make train-jepa takes about" in output) == (load < 1)
+    assert ("other programs keep about 1.7 cores busy" in output) == (load > 1)
     assert "frames/s" in output
     assert f"mujoco {importlib.metadata.version('mujoco')}" in output
 

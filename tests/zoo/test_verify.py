@@ -196,8 +196,8 @@ def test_verify_measures_the_scores_of_the_card_again(entry, capsys):
     (own,) = [row for row in tsjepa.load(entry).metrics["closed_loop"] if row["controller"] == "TS-JEPA"]
     score, failures = sum(own["per_seed"]) / 2, own["failures"]
     assert line == (
-        f"{entry}: update every 5: {score:.3f} and {failures} failures, its card says {score:.3f} ± "
-        f"{own['interval_95']:.3f} and at most {failures}: as it says"
+        f"{entry}: update every 5: {score:.3f} and {failures} failures, its card's figures for these starts are "
+        f"{score:.3f} ± {own['interval_95']:.3f} and at most {failures}: as it says"
     )
 
 

@@ -48,13 +48,15 @@ def doctor(frames: int = 200) -> dict[str, Any]:
     """
     if frames < 1:
         raise ValueError(f"frames is {frames}; at least 1 has to be rendered to measure the speed.")
-    to_mend, found = [], {}
+    to_mend, found, busy = [], {}, _busy()
     for check in (_machine, _packages, _devices, lambda: _rendering(frames), _commands, _disk):
         lines, problems = check()
         print(*(f"{name:<12}{value}" for name, value in lines), sep="\n", flush=True)
         to_mend += problems
         found |= dict(lines)
     if not to_mend:
+        if busy:
+            print(f"{'note':<12}{busy}", flush=True)
         rate = float(found["rendering"].split(": ")[1].split()[0])
         speed = _speed(rate)
         print(*(f"{name:<12}{value}" for name, value in speed), sep="\n", flush=True)
@@ -114,6 +116,14 @@ def _devices() -> Report:
     if shutil.which("nvidia-smi") and torch.version.cuda is None:
         lines.append(("note", "this machine has an NVIDIA driver, but the torch installed here is a CPU build"))
     return lines, []
+
+
+def _busy() -> str | None:
+    """What other programs take of this machine, where that makes the figures smaller than they would be."""
+    load = os.getloadavg()[0] if hasattr(os, "getloadavg") else 0.0
+    if load < 0.5:
+        return None
+    return f"other programs keep about {load:.1f} cores busy: all that follows is faster without them"
 
 
 def _speed(frames_per_second: float) -> list[tuple[str, str]]:

@@ -20,14 +20,19 @@ if TYPE_CHECKING:
 PACKAGE = Path(__file__).parent.parent
 # Lines of jsonargparse's messages that name its types instead of the mistake.
 _NOISE = re.compile(
-    r"Does not validate against any of the Union|Subtypes: |Errors:$|Expected a <class 'NoneType'>"
+    r"Does not validate against any of the Union|Subtypes: |Errors:$|Expected (a )?<class 'NoneType'>"
     r"|Given value type: |Given value: (NestedArg|Namespace)"
 )
 # What jsonargparse says of an option or a key of a recipe that it does not know.
 _UNKNOWN = re.compile(
     r"unrecognized arguments: --([\w.-]+)|does not accept option '([\w.]+)'|Option '([\w.]+)' is not accepted"
 )
+# How jsonargparse calls a list and a choice.
+_LIST = re.compile(r"Expected (?:a )?<class '(?:collections\.abc\.Sequence|tuple|list)'>")
+_LIST_OF = re.compile(r"Expected a tuple with (\d+) elements")
+_CHOICE = re.compile(r"Expected a typing\.Literal\[(.*?)\]")
 _UNKNOWN_OF_CLASS = re.compile(r"class_path '([\w.]+)': Option '(\w+)' is not accepted")
+_ROLE = re.compile(r":\w+:`([^`]+)`")  # of reStructuredText
 _DENIED = re.compile(r"Importing '([\w.]+)' is not allowed, denied by .*?set_parsing_settings to allow it\.?")
 
 
@@ -46,6 +51,9 @@ def one_sentence(message: str) -> str:
     """Distils the many lines of a jsonargparse message into one."""
     lines = [line.strip().removeprefix("- ").strip() for line in message.splitlines()]
     text = "; ".join(line for line in lines if line and not _NOISE.match(line)).replace(":; ", ": ")
+    text = _LIST.sub('Expected a list, written "[a, b]"', text)
+    text = _LIST_OF.sub(r"Expected a list of \1 elements", text)
+    text = _CHOICE.sub(r"Expected one of \1", text)
     text = re.sub(r"<class '([\w.]+)'>", r"\1", text)
     if denied := _DENIED.search(text):
         return f"{denied[1]} is not of {', '.join(PACKAGES)}: add {TRUST} if you trust the file that names it"
@@ -115,7 +123,11 @@ def parser_of(function: Callable, program: str, description: str = "") -> Argume
     class Parser(ArgumentParser):
         error = error_method(program)
 
-    parser = Parser(prog=program, description=description)
+        def format_help(self) -> str:
+            return _ROLE.sub(r"\1", super().format_help())
+
+    # an option that is cut short, such as --seed of --seeds, would be taken for another one's
+    parser = Parser(prog=program, description=description, allow_abbrev=False)
     parser.add_argument("-c", "--config", action="config", help="a YAML file with any of the options below")
     parser.add_function_arguments(function)
     return parser

@@ -205,7 +205,7 @@ def run_lightning(
                 "use_distributed_sampler": False,
             },
             parser_class=Parser,
-            parser_kwargs={"prog": program},
+            parser_kwargs={"prog": program, "allow_abbrev": False},
             args=[command, *find_recipes(options)],
         )
     return result_of(command, line) if line.trainer.is_global_zero else {}

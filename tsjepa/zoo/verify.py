@@ -90,8 +90,8 @@ class Check:
 
     def __str__(self) -> str:
         return (
-            f"update every {self.update_every}: {self.score:.3f} and {self.failures} failures, its card says "
-            f"{self.expected:.3f} ± {self.interval:.3f} and at most {self.failures_allowed}: "
+            f"update every {self.update_every}: {self.score:.3f} and {self.failures} failures, its card's figures for "
+            f"these starts are {self.expected:.3f} ± {self.interval:.3f} and at most {self.failures_allowed}: "
             f"{'as it says' if self.passed else 'NOT AS IT SAYS'}"
         )
 
