@@ -8,7 +8,9 @@ import torch
 from tensordict import TensorDict
 
 from tsjepa import cli
+from tsjepa.data.storage import METADATA
 from tsjepa.envs import Radio
+from tsjepa.evaluation import evaluate as evaluation_command
 from tsjepa.evaluation.conditions import warn_of_another_renderer
 from tsjepa.evaluation.evaluate import evaluate
 from tsjepa.evaluation.films import imagine
@@ -245,6 +247,31 @@ def test_a_device_that_is_not_there_and_a_plant_that_does_not_fit_are_said_in_on
         complaint = capsys.readouterr().err
         assert said in complaint
         assert complaint.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("spec", "said"),
+    [
+        ({"frame": [64, 64]}, r"frames of shape \[64, 64\], and the model was trained with \[64, 128\]"),
+        ({"action_low": [-1, -1], "action_high": [1, 1], "action_names": [], "action_units": []}, "commands of shape"),
+        ({"state_names": [], "state_units": [], "state_scale": [], "watched": None}, None),
+        ({"state_names": ["x"], "state_units": [], "state_scale": [], "watched": None}, r"states of shape \[1\]"),
+    ],
+)
+def test_data_of_another_machine_are_refused_before_the_loops_are_closed(model, tmp_path, monkeypatch, spec, said):
+    data = tiny_data.write(tmp_path / "data", slots=4, test=1)
+    metadata = json.loads((data / METADATA).read_text())
+    (data / METADATA).write_text(json.dumps(metadata | {"spec": metadata["spec"] | spec}))
+    monkeypatch.setattr(evaluation_command, "closed_loops", lambda *_: pytest.fail("loops are closed"))
+    with pytest.raises(ValueError, match=said) if said else pytest.raises(pytest.fail.Exception, match="loops"):
+        evaluate(model, data=str(data), output=str(tmp_path / "out"), **SMALL)
+
+
+def test_data_without_a_test_split_are_refused_before_the_loops_are_closed(model, tmp_path, monkeypatch):
+    data = tiny_data.write(tmp_path / "data", slots=4, train=1)
+    monkeypatch.setattr(evaluation_command, "closed_loops", lambda *_: pytest.fail("loops are closed"))
+    with pytest.raises(KeyError, match="no split 'test'; it has train"):
+        evaluate(model, data=str(data), output=str(tmp_path / "out"), **SMALL)
 
 
 class Line(torch.nn.Module):

@@ -145,9 +145,12 @@ def test_the_normalisers_plants_start_as_those_of_a_model_with_a_longer_stack(tm
         (["--num_devices=null"], "search_over"),
         (["--schedulers=[]"], "schedulers"),
         (["--schedulers=[fifo]"], "fifo"),
+        (["--schedulers=[chanel_aware]"], "did you mean channel_aware?"),
         (["--seeds=1"], "seeds is 1"),
         (["--slots=1"], "take more slots"),
         (["--controller=absent"], "choose the folder of a model, or hold, zero, linear, exact"),
+        (["--controller=hodl"], "did you mean hold?"),
+        ([f"--controller={Path(__file__).parent}"], "There is no model "),
         (["--plant=null"], "give plant"),
     ],
 )
@@ -157,6 +160,17 @@ def test_what_is_wrong_is_said_in_one_short_sentence(tmp_path, capsys, options, 
     assert named in complaint
     assert len(complaint) < 400
     assert "Traceback" not in complaint
+
+
+def test_what_a_users_scheduler_cannot_answer_is_said_before_the_normaliser_runs(tmp_path, monkeypatch):
+    def greedy(known):
+        return known.candidate, known.memory
+
+    monkeypatch.setattr(simulation, "optimal_scores", lambda *_: pytest.fail("too late"))
+    options = {"plant": PLANT, "output": str(tmp_path / "out"), "video": False}
+    with pytest.raises(ValueError, match="greedy granted up to 4 units beyond the budget"):
+        simulation.simulate(6, ["max_age", greedy], "hold", Radio(resource_blocks=2), **options)
+    assert not (tmp_path / "out").exists()
 
 
 class Stopped(RuntimeError):

@@ -150,12 +150,14 @@ def test_the_card_may_be_edited_damaged_and_lost(entry, tmp_path):
     assert tsjepa.load(copy).card == ""
 
 
-def test_an_unknown_name_lists_the_known_ones(monkeypatch, entry, tmp_path):
+def test_an_unknown_name_is_told_the_nearest_known_one_or_where_they_are_listed(monkeypatch, entry, tmp_path):
     monkeypatch.setattr(entries, "zoo_folder", lambda: entry.parent)
     assert entries.names() == ["tiny"]
     assert described(tsjepa.load("tiny")) == described(tiny())
-    with pytest.raises(FileNotFoundError, match=r"no model 'tinny'.*one of tiny"):
+    with pytest.raises(FileNotFoundError, match=r"no model 'tinny' - did you mean tiny\?$"):
         tsjepa.load("tinny")
+    with pytest.raises(FileNotFoundError, match=r"no model 'xyzzy': give the folder .* that `tsjepa zoo` lists\.$"):
+        tsjepa.load("xyzzy")
 
 
 def rewrite(entry: Path, folder: Path, config: dict, weights: dict[str, torch.Tensor] | None = None) -> Path:

@@ -11,12 +11,11 @@ from tensordict import TensorDictBase
 from torch import Tensor
 from tqdm import tqdm
 
-from tsjepa.data.storage import read_metadata
 from tsjepa.envs.make import EXACT, HOLD, LOSSLESS, ZERO, at_weights, state_is_physics
 from tsjepa.evaluation.conditions import SEEDS, held_out_loop, load_on, plant_of, warn_of_another_renderer
 from tsjepa.evaluation.films import draws, look_inside
 from tsjepa.evaluation.metrics import Run
-from tsjepa.evaluation.open_loop import open_loop_metrics
+from tsjepa.evaluation.open_loop import fitting_metadata, open_loop_metrics
 from tsjepa.evaluation.pictures import horizon_plot, loop_plot
 from tsjepa.evaluation.recorded import record_runs
 from tsjepa.evaluation.rollouts import ONCE, Loop, every, perfect_feedback, run
@@ -84,7 +83,8 @@ def evaluate(
         device: where the model computes, such as cuda.
 
     Raises:
-        ValueError: an argument that cannot be, neither a plant nor data, or neither an actor nor data.
+        ValueError: an argument that cannot be, data of another machine, neither a plant nor data, or neither an actor
+            nor data.
         FileNotFoundError: there is no such model or data set.
     """
     if not periods:
@@ -94,7 +94,7 @@ def evaluate(
     if record is not None:
         check_recording(record)
     controller = load_on(model, device)
-    metadata = read_metadata(data) if data else None  # a missing data set is said before the loops are run
+    metadata = fitting_metadata(controller, data) if data else None
     if not controller.acts and not data:
         controller.check_acts()
     machine = plant_of(controller, plant, process_noise_std) if controller.acts else None

@@ -10,13 +10,36 @@ from scipy import stats
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from tsjepa.data.storage import open_split
+from tsjepa.data.storage import open_split, read_metadata, spec_of
 from tsjepa.models import Controller
 from tsjepa.models.predictor import rollout
 from tsjepa.training.embeddings import embed_split
 from tsjepa.training.monitor import SKILL_HORIZONS, action_sensitivity, effective_rank, prediction_errors
 
 LONGEST_HORIZON = 50
+
+
+def fitting_metadata(model: Controller, data: str, split: str = "test") -> dict:
+    """Metadata of the data set in ``data``, before anything takes minutes.
+
+    Raises:
+        FileNotFoundError, ValueError: there is no data set, it is damaged, or its frames, commands or states are not
+            those of the machine that ``model`` was trained on.
+        KeyError: no such split.
+    """
+    metadata = read_metadata(data)
+    open_split(data, split)
+    given, wanted = spec_of(metadata), model.spec
+    sizes = {"frames": (given.frame, wanted.frame), "commands": ((given.action_dim,), (wanted.action_dim,))}
+    if given.state_dim and model.probe is not None:
+        sizes["states"] = (given.state_dim,), (wanted.state_dim,)
+    for what, (here, there) in sizes.items():
+        if here != there:
+            raise ValueError(
+                f"The data set in {data} has {what} of shape {list(here)}, and the model was trained with "
+                f"{list(there)}: give data of a machine like the one that it was trained on."
+            )
+    return metadata
 
 
 @torch.no_grad()

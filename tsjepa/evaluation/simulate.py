@@ -23,13 +23,14 @@ from tsjepa.evaluation.metrics import normalized_score
 from tsjepa.evaluation.recorded import record_runs
 from tsjepa.evaluation.rollouts import Loop, optimal_scores, run
 from tsjepa.evaluation.shown import shown_run
-from tsjepa.models import Controller
+from tsjepa.models import Controller, entries, hub
 from tsjepa.plants import Plant, describe_plant
 from tsjepa.radio.schedulers import SchedulerFunction, get_scheduler, layers_of, name_of
 from tsjepa.radio.traces import describe, read_trace
 from tsjepa.support.checks import at_least
 from tsjepa.support.files import write_json, write_text
 from tsjepa.support.journal import Journal
+from tsjepa.support.nearest import did_you_mean
 from tsjepa.support.provenance import code_hash, provenance
 from tsjepa.support.recording import check_recording
 
@@ -133,7 +134,9 @@ def simulate(
     # the normaliser's plants start as the model's, whose stack may be longer
     frame_history = max(frame_history, getattr(model_or_name, "frame_history", 0))
     loop = Loop(machine, model_or_name, "none", max(sizes), slots, radio, frame_history)
-    loop.env(0)  # says now what does not fit together
+    for scheduler in functions:
+        # says now what does not fit together, and what a scheduler answers in its first slot
+        replace(loop, scheduler=scheduler, num_devices=min(sizes)).env(0).reset()
     optimal = optimal_scores(loop, seeds)
     for best in optimal[:, : min(sizes)]:
         normalized_score(best, best)  # says now where scores cannot be normalised
@@ -182,9 +185,12 @@ def load_controller(name: str, device: str = "cpu") -> str | Controller:
     try:
         model = load_on(name, device)
     except FileNotFoundError as error:
+        if Path(name).is_dir() or hub.is_address(name):  # it says what is wrong with them
+            raise
+        meant = did_you_mean(name, [*ON_STATE, *entries.names()])
         raise FileNotFoundError(
-            f"There is no controller {name!r}: choose the folder of a model, or {', '.join(ON_STATE)}, or an entry "
-            "that `tsjepa zoo` lists."
+            f"There is no controller {name!r}{meant} (choose the folder of a model, or {', '.join(ON_STATE)}, or an "
+            "entry that `tsjepa zoo` lists)."
         ) from error
     model.check_acts()
     return model

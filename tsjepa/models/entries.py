@@ -22,6 +22,7 @@ from tsjepa.models import hub
 from tsjepa.support.description import build, describe
 from tsjepa.support.files import exclusive, json_text, refuse_to_replace, replace_folder
 from tsjepa.support.foreign import is_pointer
+from tsjepa.support.nearest import did_you_mean
 from tsjepa.support.spec import PlantSpec
 
 FORMAT = 2
@@ -62,10 +63,8 @@ def find(name_or_path: str | Path) -> Path:
     for folder in (Path(name_or_path), zoo_folder() / str(name_or_path)):
         if (folder / CONFIG).exists() or (folder / MANIFEST).exists():
             return folder
-    raise FileNotFoundError(
-        f"There is no model {str(name_or_path)!r}: give the folder of an entry, or one of "
-        f"{', '.join(names()) or '(none)'}."
-    )
+    mend = did_you_mean(str(name_or_path), names()) or ": give the folder of an entry, or one that `tsjepa zoo` lists."
+    raise FileNotFoundError(f"There is no model {str(name_or_path)!r}{mend}")
 
 
 def fingerprint(folder: str | Path) -> str:
