@@ -3,10 +3,12 @@ from types import SimpleNamespace
 
 import pytest
 import torch
+from torch import nn
 from torch.nn import functional as F
 
 from tsjepa.data.augmentation import Augmentation
-from tsjepa.models import Encoder, Predictor, rollout
+from tsjepa.models import DifferenceEncoder, Encoder, Predictor, rollout
+from tsjepa.models.checks import check_encoder
 from tsjepa.models.encoder import unpatchify
 from tsjepa.support.spec import PlantSpec
 from tsjepa.training.jepa import TSJEPA
@@ -199,3 +201,76 @@ def test_targets_are_of_the_other_view_and_its_distance_is_a_term(monkeypatch):
     weights = {"prediction_loss": 1.0, "view_loss": 3.0, "variance_loss": 0.1, "covariance_loss": 0.01}
     expected = logged["inverse_loss"] + sum(weight * logged[name] for name, weight in weights.items())
     torch.testing.assert_close(logged["loss"], expected)
+
+
+class Means(nn.Module):
+    """The mean colours of the frames, turned: an encoder as the page on them says."""
+
+    def __init__(self, embedding_dim=D, height=32):
+        super().__init__()
+        self.embedding_dim, self.height, self.frame_shape = embedding_dim, height, (2, height, 32, 3)
+        self.project = nn.Linear(6, embedding_dim)
+
+    def forward(self, frames):
+        return F.normalize(self.project(frames.float().mean((2, 3)).flatten(1) / 255), dim=-1)
+
+
+class NoFrameShape(nn.Module):
+    embedding_dim = D
+
+
+class NoDim(nn.Module):
+    frame_shape = (2, 32, 32, 3)
+
+
+class Long(Means):
+    def forward(self, frames):
+        return 5 * super().forward(frames)
+
+
+class Wide(Means):
+    def forward(self, frames):
+        return super().forward(frames).repeat(1, 2)
+
+
+class Nan(Means):
+    def forward(self, frames):
+        return super().forward(frames) * torch.nan
+
+
+class Pair(Means):
+    def forward(self, frames):
+        return super().forward(frames), None
+
+
+class Forgetful(Means):
+    def __init__(self, colour="red"):
+        super().__init__()
+
+
+@pytest.mark.parametrize(
+    ("kind", "said"),
+    [
+        (NoFrameShape, r"NoFrameShape has the frame_shape None; set self\.frame_shape ="),
+        (NoDim, r"NoDim has the embedding_dim None; set self\.embedding_dim"),
+        (Long, r"Long gives embeddings of lengths 5 and 5, .*normalize"),
+        (Nan, r"Nan gives embeddings of lengths nan and nan, .*normalize"),
+        (Wide, r"Wide gives \[2, 32\] for 2 stacks of frames; embeddings are \[2, 16\]"),
+        (Pair, r"Pair gives a tuple for 2 stacks of frames"),
+        (Forgetful, r"Forgetful cannot be stored.* set self\.colour"),
+    ],
+)
+def test_an_encoder_that_is_none_is_refused_when_the_model_is_built(kind, said):
+    with pytest.raises(ValueError, match=said):
+        TSJEPA(kind(), Predictor(D, 32), Augmentation())
+
+
+def test_looking_at_an_encoder_changes_nothing():
+    encoder = Means().train()
+    weights, drawn = copy.deepcopy(encoder.state_dict()), torch.random.get_rng_state()
+    check_encoder(encoder)
+    assert encoder.training and torch.equal(torch.random.get_rng_state(), drawn)
+    assert all(torch.equal(value, weights[name]) for name, value in encoder.state_dict().items())
+    statistics = DifferenceEncoder(2, D).train()
+    check_encoder(statistics)
+    assert statistics.norm.num_batches_tracked == 0

@@ -12,6 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from tsjepa.models import entries, hub
+from tsjepa.models.checks import check_sizes_of
 from tsjepa.support.spec import PlantSpec
 
 Model = TypeVar("Model", bound="Controller")
@@ -47,6 +48,7 @@ class Controller(nn.Module):
 
     def __init__(self, encoder: nn.Module, frame_spacing: int, spec: PlantSpec) -> None:
         super().__init__()
+        check_sizes_of(encoder)
         self.encoder, self.frame_spacing, self.spec = encoder, frame_spacing, spec
         self.register_buffer("code_low", torch.full((encoder.embedding_dim,), math.nan))
         self.register_buffer("code_high", torch.full((encoder.embedding_dim,), math.nan))

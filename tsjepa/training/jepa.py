@@ -13,6 +13,7 @@ from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from tsjepa.data.augmentation import Augmentation
 from tsjepa.models import HierarchicalPredictor, Predictor, SemanticController
+from tsjepa.models.checks import check_encoder
 from tsjepa.support.checks import within
 from tsjepa.support.parallel import gather
 from tsjepa.support.seeds import derive, run_seed
@@ -47,6 +48,9 @@ class TSJEPA(lightning.LightningModule):
             embedding holds of appearance.
         pretrained: zoo entry (name or folder) to start from, as far as sizes agree.
         terms: of one's own, added to the loss.
+
+    Raises:
+        ValueError: the encoder is none, see :func:`tsjepa.models.checks.check_encoder`, or does not fit the predictor.
     """
 
     def __init__(
@@ -66,6 +70,7 @@ class TSJEPA(lightning.LightningModule):
     ) -> None:
         super().__init__()
         within(0, 1, ema_decay=ema_decay)
+        check_encoder(encoder)
         if predictor.embedding_dim != encoder.embedding_dim:
             raise ValueError(
                 f"The encoder's embedding_dim is {encoder.embedding_dim}, the predictor's is "
@@ -136,7 +141,7 @@ class TSJEPA(lightning.LightningModule):
             terms["inverse_loss"] = self.inverse_loss(embedding, commands, gap)
             loss = loss + self.inverse_weight * terms["inverse_loss"]
         for term in self.terms:
-            value = term.function(embedding, target, commands.unflatten(1, (stacks - 1, gap)))
+            value = term(embedding, target, commands.unflatten(1, (stacks - 1, gap)))
             terms[getattr(term.function, "__name__", "own_term")] = value
             loss = loss + term.weight * value
         self.log_terms(terms, loss)
