@@ -1,8 +1,9 @@
 import pytest
 import torch
+from torch import nn
 from torch.nn import functional as F
 
-from tsjepa.training.losses import InverseDynamics, cosine_loss, covariance_loss, variance_loss
+from tsjepa.training.losses import InverseDynamics, LossTerm, cosine_loss, covariance_loss, variance_loss
 
 
 def test_cosine_loss_is_zero_one_and_two_for_equal_orthogonal_and_opposite_vectors():
@@ -49,3 +50,34 @@ def test_inverse_dynamics_sees_both_embeddings_and_the_gap():
     assert answer.shape == (3, 1)
     inputs = torch.cat((2 * before, 2 * (after - before), torch.full((3, 1), 0.5)), dim=1)
     torch.testing.assert_close(answer, network.layers(inputs))
+
+
+def spread(embedding, target, commands):
+    return embedding.var(1)
+
+
+def test_a_term_of_ones_own_is_a_scalar():
+    embedding, commands = torch.ones(2, 3, 4), torch.zeros(2, 2, 1, 1)
+    assert LossTerm(lambda *tensors: 0.5)(embedding, embedding, commands) == 0.5
+    assert LossTerm(lambda e, t, c: e.sum() - t.mean() + c.sum())(embedding, embedding, commands).item() == 23
+    with pytest.raises(
+        ValueError, match=rf"{__name__}\.spread gives a tensor of shape \[2, 4\]; it has to give a scalar"
+    ):
+        LossTerm(spread)(embedding, embedding, commands)
+    with pytest.raises(ValueError, match="lambda> gives NoneType; it has to give a scalar"):
+        LossTerm(lambda *tensors: None)(embedding, embedding, commands)
+
+
+def test_a_term_that_is_not_finite_is_named_unless_the_embeddings_are_to_blame():
+    embedding, commands = torch.ones(2, 3, 4), torch.zeros(2, 2, 1, 1)
+    term = LossTerm(lambda e, t, c: e.mean() / c.sum())
+    with pytest.raises(ValueError, match="lambda> is inf though all embeddings are finite"):
+        term(embedding, embedding, commands)
+    embedding[0, 0, 0] = torch.nan
+    assert term(embedding, embedding, commands).isnan()
+
+
+def test_a_term_that_takes_something_else_is_refused_before_training():
+    with pytest.raises(ValueError, match=r"lambda> takes \(embedding, target\); it is called with the context emb"):
+        LossTerm(lambda embedding, target: embedding)
+    assert LossTerm(nn.CosineSimilarity()).path == "torch.nn.modules.distance.CosineSimilarity"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import inspect
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -19,10 +21,52 @@ class LossTerm:
         function: from the context embeddings [B, W, d], the target embeddings [B, W, d] and the commands between them
             [B, W - 1, gap, m] to a scalar; named by its import path.
         weight: by which it is multiplied.
+
+    Raises:
+        ValueError: the function does not take three arguments.
     """
 
     function: Callable[[Tensor, Tensor, Tensor], Any]  # the parser refuses one without annotations where it is Tensor
     weight: float = 1.0
+
+    def __post_init__(self) -> None:
+        try:
+            signature = inspect.signature(self.function)
+        except (TypeError, ValueError):  # of a function that is not written in Python
+            return
+        try:
+            signature.bind(None, None, None)
+        except TypeError as error:
+            raise ValueError(
+                f"The loss term {self.path} takes {signature}; it is called with the context embeddings, the target "
+                "embeddings and the commands."
+            ) from error
+
+    @property
+    def path(self) -> str:
+        """Where the function is, for messages."""
+        kind = self.function if hasattr(self.function, "__qualname__") else type(self.function)
+        return f"{kind.__module__}.{kind.__qualname__}"
+
+    def __call__(self, embedding: Tensor, target: Tensor, commands: Tensor) -> Tensor | float:
+        """The term's value.
+
+        Raises:
+            ValueError: it is no scalar, or it is not finite though the embeddings are.
+        """
+        value = self.function(embedding, target, commands)
+        if not isinstance(value, (int, float)) and not (isinstance(value, Tensor) and value.ndim == 0):
+            given = f"a tensor of shape {list(value.shape)}" if isinstance(value, Tensor) else type(value).__name__
+            raise ValueError(
+                f"The loss term {self.path} gives {given}; it has to give a scalar, such as the mean of it all."
+            )
+        number = float(value.detach() if isinstance(value, Tensor) else value)
+        if not math.isfinite(number) and bool(embedding.isfinite().all()):
+            raise ValueError(
+                f"The loss term {self.path} is {number} though all embeddings are finite: it divides by zero, or "
+                "takes a root or logarithm of what is not positive."
+            )
+        return value
 
 
 def cosine_loss(prediction: Tensor, target: Tensor) -> Tensor:
