@@ -323,6 +323,14 @@ def test_shipped_recipes_are_found_from_anywhere(monkeypatch, tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("part", ["model", "data"])
+def test_a_recipe_that_lies_over_another_is_not_taken_for_a_whole_one(capsys, tmp_path, part):
+    (tmp_path / "over.yaml").write_text(f"{part}: {{init_args: {{embedding_dim: 16}}}}")
+    status, _, complaint = run(capsys, "fit", "--config", str(tmp_path / "over.yaml"))
+    assert status == 2
+    assert f"no class of the {part}, as one that lies over another: give that one before it" in complaint
+
+
 @pytest.mark.parametrize("load", [0.1, 1.7])
 def test_doctor_finds_this_machine_well_and_says_where_others_slow_it(capsys, monkeypatch, load):
     monkeypatch.setattr(doctor.os, "getloadavg", lambda: (load, 0.0, 0.0))

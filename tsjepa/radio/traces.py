@@ -64,7 +64,10 @@ def read_trace(path: str | Path) -> Trace:
     table = read_table(path)
     found = [name for name in VALUES if name in table]
     if "time_s" not in table or not found:
-        raise ValueError(f"a trace needs time_s and one of {', '.join(VALUES)}; {path} has {', '.join(table)}")
+        raise ValueError(
+            f"a trace needs time_s and one of {', '.join(VALUES)}; {path} has {', '.join(table)}: bring a log to such "
+            f"a table with tsjepa trace import {path} TABLE.parquet"
+        )
     if not len(table["time_s"]):
         raise ValueError(f"{path} has no rows")
     for name in ("time_s", *found):

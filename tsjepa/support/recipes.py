@@ -32,6 +32,7 @@ _LIST = re.compile(r"Expected (?:a )?<class '(?:collections\.abc\.Sequence|tuple
 _LIST_OF = re.compile(r"Expected a tuple with (\d+) elements")
 _CHOICE = re.compile(r"Expected a typing\.Literal\[(.*?)\]")
 _UNKNOWN_OF_CLASS = re.compile(r"class_path '([\w.]+)': Option '(\w+)' is not accepted")
+_NO_CLASS = re.compile(r"\"(model|data)\": Problem with given class_path 'lightning\.Lightning(?:Data)?Module'")
 _ROLE = re.compile(r":\w+:`([^`]+)`")  # of reStructuredText
 _DENIED = re.compile(r"Importing '([\w.]+)' is not allowed, denied by .*?set_parsing_settings to allow it\.?")
 
@@ -55,6 +56,11 @@ def one_sentence(message: str) -> str:
     text = _LIST_OF.sub(r"Expected a list of \1 elements", text)
     text = _CHOICE.sub(r"Expected one of \1", text)
     text = re.sub(r"<class '([\w.]+)'>", r"\1", text)
+    if of := _NO_CLASS.search(text):
+        return (
+            f"the recipe names no class of the {of[1]}, as one that lies over another: give that one before it, such "
+            "as --config recipes/jepa.yaml"
+        )
     if denied := _DENIED.search(text):
         return f"{denied[1]} is not of {', '.join(PACKAGES)}: add {TRUST} if you trust the file that names it"
     return re.sub(r'Parser key "([\w.]+)"', r"option '\1'", text).rstrip(".")
