@@ -129,8 +129,8 @@ def parser_of(function: Callable, program: str, description: str = "") -> Argume
     class Parser(ArgumentParser):
         error = error_method(program)
 
-        def format_help(self) -> str:
-            return _ROLE.sub(r"\1", super().format_help())
+        def format_help(self, *formatter: Any) -> str:
+            return _ROLE.sub(r"\1", super().format_help(*formatter))
 
     # an option that is cut short, such as --seed of --seeds, would be taken for another one's
     parser = Parser(prog=program, description=description, allow_abbrev=False)
