@@ -182,6 +182,7 @@ def test_without_results_every_claim_is_said_to_be_unmeasured(tmp_path, capsys):
         (["--figure", "absent"], "'absent'"),
         (["--settings", "{seeds: 3}"], "name it"),
         (["--check", "true", "--recompute", "true"], "choose one"),
+        (["--figure", "tsne", "--check", "true", "--settings", "{seeds: 3}"], "add --recompute true"),
         (["--workers", "0"], "workers is 0"),
         (["--figure", "tsne", "--recompute", "true", "--settings", "{seeds: 3}"], "marked"),
     ],

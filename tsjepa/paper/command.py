@@ -45,6 +45,8 @@ def figures(
     """
     if settings is not None and figure is None:
         raise ValueError("settings belong to one figure: name it, as in --figure bits.")
+    if settings is not None and not recompute and settings != recipe_settings(str(figure)):
+        raise ValueError("settings are those of a sweep, and none is run: add --recompute true, or leave settings out.")
     if check and recompute:
         raise ValueError("check repeats points that are recorded, and recompute makes them anew: choose one.")
     if workers is not None:
