@@ -88,6 +88,7 @@ def test_every_command_has_help(capsys, command):
         (["import", "x", "--size=64"], "'size': Expected a list, written \"[a, b]\"; Given value: 64"),
         (["import", "x", "--size=[64]"], "'size': Expected a list of 2 elements; Given value: [64]"),
         (["collect", "--plant=CartPole", "--plant.start_half_widths=1,2"], 'Expected a list, written "[a, b]". Got'),
+        (["collect", "--plant=CartPol"], "no class CartPol is known, give its import path, package.module.CartPol"),
         (["zoo", "verfy"], "'action': Expected one of 'list', 'verify', 'train'. Got value: verfy"),
         (["evaluate", "tsjepa-cartpole-d15"], "no model 'tsjepa-cartpole-d15' - did you mean tsjepa-cartpole-d1"),
     ],

@@ -27,10 +27,11 @@ _NOISE = re.compile(
 _UNKNOWN = re.compile(
     r"unrecognized arguments: --([\w.-]+)|does not accept option '([\w.]+)'|Option '([\w.]+)' is not accepted"
 )
-# How jsonargparse calls a list and a choice.
+# How jsonargparse calls a list, a choice and a class.
 _LIST = re.compile(r"Expected (?:a )?<class '(?:collections\.abc\.Sequence|tuple|list)'>")
 _LIST_OF = re.compile(r"Expected a tuple with (\d+) elements")
 _CHOICE = re.compile(r"Expected a typing\.Literal\[(.*?)\]")
+_CLASS = re.compile(r"Expected a dot import path string: (\S+?)(?=;|$)")
 _UNKNOWN_OF_CLASS = re.compile(r"class_path '([\w.]+)': Option '(\w+)' is not accepted")
 _NO_CLASS = re.compile(r"\"(model|data)\": Problem with given class_path 'lightning\.Lightning(?:Data)?Module'")
 _ROLE = re.compile(r":\w+:`([^`]+)`")  # of reStructuredText
@@ -55,6 +56,7 @@ def one_sentence(message: str) -> str:
     text = _LIST.sub('Expected a list, written "[a, b]"', text)
     text = _LIST_OF.sub(r"Expected a list of \1 elements", text)
     text = _CHOICE.sub(r"Expected one of \1", text)
+    text = _CLASS.sub(r"no class \1 is known, give its import path, package.module.\1", text)
     text = re.sub(r"<class '([\w.]+)'>", r"\1", text)
     if of := _NO_CLASS.search(text):
         return (
