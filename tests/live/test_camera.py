@@ -40,15 +40,64 @@ def test_pictures_are_brought_to_the_models_size(film):
     camera.close()
 
 
-def test_the_actuator_gets_the_command_and_may_fail(film):
+def test_the_actuator_gets_the_command_and_may_fail(film, capsys):
     given = []
     camera = Camera(film, lambda command: given.append(command.tolist()), (32, 64), 1, 1)
     camera.act(np.float32([[1.5]]))
     assert given == [[1.5]]
-    camera.actuate = lambda command: 1 / 0
-    camera.act(np.float32([[2.5]]))
-    assert camera.summary() == {"actuator_failures": 1}
+
+    def drive(command):
+        raise RuntimeError("the bus\nis off")
+
+    camera.actuate = drive
+    for _ in range(3):
+        camera.act(np.float32([[2.5]]))
+    assert camera.summary() == {"actuator_failures": 3, "camera_failures": 0}
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert "drive raised RuntimeError: the bus is off (test_camera.py, line" in said
     camera.close()
+
+
+class Blind:
+    """Stands for OpenCV's camera; gives as many pictures as it is told."""
+
+    def __init__(self, pictures: int) -> None:
+        self.pictures, self.opened = pictures, True
+
+    def isOpened(self):
+        return self.opened
+
+    def get(self, _):
+        return 1.0  # a film, so that no thread reads it
+
+    def set(self, *_):
+        return False
+
+    def read(self):
+        self.pictures -= 1
+        return (True, np.full((32, 64, 3), 9, np.uint8)) if self.pictures >= 0 else (False, None)
+
+    def release(self):
+        self.opened = False
+
+
+def test_a_camera_that_gives_no_picture_any_more_is_told_of_once(monkeypatch, capsys):
+    monkeypatch.setattr(cv2, "VideoCapture", lambda _: Blind(2))
+    camera = Camera("0", None, (32, 64), 1, 1)
+    seen = [camera.look() for _ in range(4)]
+    assert all((stack == 9).all() for stack in seen)
+    assert camera.summary()["camera_failures"] == 3
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1 and "the camera '0' gives no picture" in said
+
+
+def test_a_camera_that_never_gives_a_picture_is_refused_and_let_go(monkeypatch):
+    blind = Blind(0)
+    monkeypatch.setattr(cv2, "VideoCapture", lambda _: blind)
+    with pytest.raises(FileNotFoundError, match="OpenCV opens '0' and gets no picture"):
+        Camera("0", None, (32, 64), 1, 1)
+    assert not blind.opened
 
 
 def test_an_actuator_is_found_by_its_name_if_it_is_trusted():
@@ -76,9 +125,11 @@ def cameras(monkeypatch):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("wrong", [{"controller": "nowhere"}, {"safe": [30.0]}, {"key": "no-such-key"}])
+@pytest.mark.parametrize(
+    "wrong", [{"controller": "nowhere"}, {"safe": [30.0]}, {"key": "no-such-key"}, {"report": "/"}]
+)
 def test_what_is_wrong_is_told_before_a_camera_is_opened_or_a_recording_begun(deployed, film, tmp_path, cameras, wrong):
-    with pytest.raises((ValueError, FileNotFoundError)):
+    with pytest.raises((ValueError, FileNotFoundError, IsADirectoryError)):
         live_device.device(str(deployed), camera=film, record=str(tmp_path / "run.rrd"), **wrong)
     assert not cameras
     assert not list(tmp_path.glob("run.rrd*"))
@@ -91,3 +142,14 @@ def test_a_camera_is_let_go_when_its_run_fails(deployed, film, cameras, monkeypa
         live_device.device(str(deployed), camera=film)
     (camera,) = cameras
     assert not camera.video.isOpened()
+
+
+@pytest.mark.slow
+def test_the_last_lines_say_what_failed_and_that_no_command_came(deployed, film, cameras, monkeypatch, capsys):
+    monkeypatch.setattr(live_device, "find_actuator", lambda path: lambda command: 1 / 0)
+    monkeypatch.setattr(live_device, "run_until_stopped", lambda work: cameras[0].act(np.float32([[1]])))
+    live_device.device(str(deployed), "127.0.0.1:9", number=4, camera=film, actuator="my.drive")
+    said = capsys.readouterr()
+    assert "0 datagrams dropped, 1 actuator failures; ms" in said.out
+    last = said.err.splitlines()[-1]
+    assert "no command came from 127.0.0.1:9 in the whole run for device 4 (datagrams sent there: 0)" in last

@@ -5,6 +5,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 
 import numpy as np
@@ -12,6 +13,7 @@ import pytest
 
 from tsjepa import cli
 from tsjepa.live.controller import controller
+from tsjepa.live.ending import check_report
 
 SLOW = ["--realtime_factor", "0.25"]  # slots of 80 ms, so that a busy machine keeps up
 PATIENCE_S = 120
@@ -69,7 +71,7 @@ def test_both_end_on_a_signal_with_a_report(deployed, tmp_path, number):
             status, said = device.end(number)
             assert status == 0 and "updates sent" in said
         status, said = controller.end(number)
-        assert status == 0 and "updates used" in said
+        assert status == 0 and "updates used" in said and "1 session (a first hello" in said
     sent, heard = (json.loads((tmp_path / name).read_text()) for name in ("d.json", "c.json"))
     assert sent["updates"]["lost"] > 0
     arrived = sent["updates"]["sent"] - sent["updates"]["lost"]
@@ -100,11 +102,17 @@ def test_a_killed_controller_comes_back_to_a_device_that_went_safe(deployed, tmp
 
 
 @pytest.mark.slow
-def test_a_device_without_a_controller_waits_and_ends(deployed):
-    with Process("device", deployed, "--controller", free_address()) as device:
-        time.sleep(8)
+def test_a_device_without_a_controller_says_so_waits_and_ends(deployed):
+    address = free_address()
+    with Process("device", deployed, "--controller", address, "--slots", 10) as device:
+        told_too_late = threading.Timer(PATIENCE_S, device.child.kill)
+        told_too_late.start()
+        assert any(f"no command came from {address} in 1.5 s for device 0" in line for line in device.child.stderr)
+        told_too_late.cancel()
         assert device.child.poll() is None
-        assert device.end(signal.SIGTERM)[0] == 0
+        status, said = device.end(signal.SIGTERM)
+    assert status == 0
+    assert f"no command came from {address} in the whole run for device 0" in said
 
 
 @pytest.mark.slow
@@ -122,6 +130,8 @@ def test_a_device_without_a_controller_waits_and_ends(deployed):
         (["device", "GRAPHS", "--episode_slots", "0"], "episode_slots is 0"),
         (["device", "GRAPHS", "--safe", "[30]"], "is not between"),
         (["device", "GRAPHS", "--realtime_factor", "0"], "have to be above 0"),
+        (["device", "GRAPHS", "--report", "."], "report . is a folder"),
+        (["controller", "GRAPHS", "--report", "."], "report . is a folder"),
         (["controller", "GRAPHS", "--buffer", "256"], "buffer is 256"),
         (["controller", "GRAPHS", "--reference", "[1.0]"], "takes 0 set-points"),
         (["controller", "GRAPHS", "--key", "FILM"], "holds no key"),
@@ -154,3 +164,11 @@ def test_a_controller_that_cannot_start_leaves_the_files_of_the_run_before(deplo
             controller(str(deployed), **{"bind": bind, "log": str(files[0]), "record": str(files[1])} | wrong)
     assert {file.read_text() for file in files} == {"of the run before"}
     assert sorted(tmp_path.iterdir()) == files
+
+
+def test_a_report_that_could_not_be_written_is_refused_and_its_folder_is_made(tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(OSError, match=r"file/report\.json cannot be written \(.*\): choose a folder"):
+        check_report(str(tmp_path / "file" / "report.json"))
+    check_report(str(tmp_path / "new" / "report.json"))
+    assert not list((tmp_path / "new").iterdir())

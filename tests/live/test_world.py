@@ -1,6 +1,8 @@
 """Device and controller together, over real sockets in virtual time."""
 
+import asyncio
 import random
+import re
 import socket
 from types import SimpleNamespace
 
@@ -9,10 +11,11 @@ import pytest
 import world
 from world import Graphs, Machine, World
 
-from tsjepa.live import packet
+from tsjepa.live import device_loop, packet
+from tsjepa.live.device_loop import Device
 from tsjepa.live.link import Link
 from tsjepa.live.packet import LARGEST, UPDATE, Dropped, Header, Update
-from tsjepa.live.port import DROPS
+from tsjepa.live.port import DROPS, Port, dropped_line
 from tsjepa.live.seal import Seal, read_key
 
 
@@ -159,7 +162,7 @@ def test_a_controller_that_hears_nothing_for_long_says_nothing(live):
 
 
 @pytest.mark.parametrize("spoilt", [np.nan, np.inf, 21.0])
-def test_a_command_out_of_range_never_leaves(live, spoilt):
+def test_a_command_out_of_range_never_leaves(live, spoilt, capsys):
     graphs = Graphs()
     live.control(graphs=graphs)
     device = live.device()
@@ -173,6 +176,7 @@ def test_a_command_out_of_range_never_leaves(live, spoilt):
         assert max(applied(device)) <= 20
     else:
         assert live.controller.counts["refused"] == 5
+        assert capsys.readouterr().err.count("the model's command for device 0 is no finite number") == 1
 
 
 def attack(rng: random.Random, recorded: list[bytes], seal: Seal, changes: bool):
@@ -228,12 +232,89 @@ def test_hostile_datagrams_change_nothing(live, tmp_path, sealed):
     assert not controller.waiting
 
 
-def test_an_unknown_device_is_dropped_and_counted(live):
+def test_an_unknown_device_is_dropped_and_counted_and_both_ends_tell(live, capsys):
     live.control(devices=2)
     device = live.device(numbers=(2,))
     live.run(5)
     assert live.controller.port.drops["device"] == 6
     assert applied(device) == [0.0] * 5
+    live.run(100)
+    there, here = capsys.readouterr().err.splitlines()
+    assert there.startswith("tsjepa controller: a datagram is dropped: device (a --number that is not known here) from")
+    place = f"127.0.0.1:{live.controller.port.address[1]}"
+    assert here.startswith(f"tsjepa device: no command came from {place} in 1.5 s for device 2 (datagrams sent there: ")
+    assert "--num_devices is above 2, the --number here" in here
+    assert device.summary()["devices_without_a_command"] == [2]
+
+
+def test_a_silence_is_told_of_once_until_a_command_comes(live, capsys):
+    live.control(devices=3)
+    device = live.device(numbers=(0, 1, 2))
+    live.run(10)
+    port = live.controller.port.address[1]
+    for silences in (1, 2):
+        live.controller.port.socket.close()
+        live.run(70)
+        assert not capsys.readouterr().err.count("no command came")  # 1.4 s are no silence
+        live.run(100)
+        said = capsys.readouterr().err
+        assert said.count("no command came") == 1 and "for 3 devices, 0 to 2 (" in said, silences
+        live.control(devices=3, port=port)
+        live.run(10)
+    assert device.summary()["devices_without_a_command"] == []
+
+
+@pytest.mark.parametrize("answered", [False, True])
+def test_a_device_that_waits_for_its_controller_tells_what_to_check(live, monkeypatch, capsys, answered):
+    """It knocks ten times a second. Its number is not known there, or is that of all but the last of its devices."""
+    live.control(devices=2)
+    numbers = [0, 1, 2] if answered else [7]
+    address = live.controller.port.address[:2]
+    device, stop, knocks = Device(Graphs(), Machine(len(numbers)), numbers, address, Seal()), asyncio.Event(), []
+
+    async def sleep(seconds):
+        live.now += seconds
+        knocks.append(live.now)
+        live.controller.port.drain()
+        device.port.drain()
+        if len(knocks) == 40:
+            stop.set()
+
+    monkeypatch.setattr(device_loop, "asyncio", SimpleNamespace(sleep=sleep))
+    asyncio.run(device.run(None, stop))
+    said = [line for line in capsys.readouterr().err.splitlines() if line.startswith("tsjepa device")]
+    assert len(said) == 1
+    sent = re.search(rf"in 1\.5 s for device {numbers[-1]} \(datagrams sent there: (\d+)\)", said[0])
+    assert 15 <= int(sent[1]) - len(numbers) + 1 <= 20
+    assert device.summary()["devices_without_a_command"] == [numbers[-1]]
+
+
+def test_a_log_that_cannot_be_written_ends_and_the_loop_goes_on(live, capsys):
+    live.control().log = SimpleNamespace(write=lambda _: (_ for _ in ()).throw(OSError(28, "No space left on device")))
+    device = live.device()
+    live.run(5)
+    np.testing.assert_allclose(applied(device), [-0.1 * slot for slot in range(5)], atol=1e-6)
+    assert capsys.readouterr().err.count("the log ends here, it cannot be written (No space left on device)") == 1
+
+
+def test_an_address_that_is_taken_or_that_there_is_not_is_named():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+        taken.bind(("127.0.0.1", 0))
+        number = taken.getsockname()[1]
+        with pytest.raises(OSError, match=rf"listen at 127\.0\.0\.1:{number} \(.*\): .* give --bind a free port"):
+            Port(print, bind=("127.0.0.1", number))
+    with pytest.raises(OSError, match=r"^\[::1::\]:1 cannot be reached \(.*\): give --controller"):
+        Port(print, connect=("::1::", 1))
+    with pytest.raises(OSError, match=r"^a\.\.b:1 cannot be reached"):
+        Port(print, connect=("a..b", 1))
+
+
+def test_what_was_dropped_is_listed_by_its_reason():
+    assert dropped_line(dict.fromkeys(DROPS, 0)) == "0 datagrams dropped"
+    expected = (
+        "5 datagrams dropped: 2 forged (another --key, or changed on its way), 3 stale (an answer to nothing recent)"
+    )
+    assert dropped_line({"size": 0, "forged": 2, "stale": 3}) == expected
 
 
 def test_a_controller_of_another_key_is_not_obeyed(live, tmp_path):

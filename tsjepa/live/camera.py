@@ -4,15 +4,20 @@ from __future__ import annotations
 
 import importlib
 import threading
+import time
+import traceback
 from collections import deque
 from collections.abc import Callable
+from pathlib import Path
 
 import cv2
 import numpy as np
 
+from tsjepa.live.notices import tell
 from tsjepa.support.trust import TRUST, may_import
 
 Actuate = Callable[[np.ndarray], None]
+AGAIN_S = 0.01  # between two tries at a camera that gives no picture
 
 
 class Camera:
@@ -28,7 +33,7 @@ class Camera:
         frame_stack, frame_spacing: of the model.
 
     Raises:
-        FileNotFoundError: OpenCV cannot open it.
+        FileNotFoundError: OpenCV cannot open it, or gets no picture from it.
     """
 
     at_once = True  # an actuator does not wait for the slot's end
@@ -41,10 +46,17 @@ class Camera:
         self.video = cv2.VideoCapture(int(source) if source.isdigit() else source)
         if not self.video.isOpened():
             raise FileNotFoundError(f"OpenCV opens no camera and no film {source!r}.")
-        self.newest = self._read()
+        first = self._read()
+        if first is None:
+            self.video.release()
+            raise FileNotFoundError(
+                f"OpenCV opens {source!r} and gets no picture: end other programs that use the camera, or give "
+                "--camera another number or a film that is whole."
+            )
+        self.newest = first
         span = (frame_stack - 1) * frame_spacing + 1
         self.frames: deque[np.ndarray] = deque([self._picture()] * span, maxlen=span)
-        self.refused = 0
+        self.refused = self.blind = 0
         self._open = True
         self._film = self.video.get(cv2.CAP_PROP_FRAME_COUNT) > 0
         self._thread = threading.Thread(target=self._follow, daemon=True)
@@ -54,7 +66,7 @@ class Camera:
     def look(self) -> np.ndarray:
         """The newest stack, uint8 [1, frame_stack, H, W, 3], oldest frame first."""
         if self._film:
-            self.newest = self._read()
+            self._renew()
         self.frames.append(self._picture())
         return np.stack(list(self.frames)[:: self.spacing])[None]
 
@@ -63,18 +75,20 @@ class Camera:
         return []
 
     def act(self, commands: np.ndarray) -> bool:
-        """Gives the actuator a command [1, m]; a function that fails is counted."""
+        """Gives the actuator a command [1, m]; a function that fails is counted, and told of the first time."""
         if self.actuate is not None:
             try:
                 self.actuate(commands[0])
-            except Exception:
+            except Exception as error:
                 # the loop has to go on, so that the watchdog still works
+                if not self.refused:
+                    tell("device", _failure(self.actuate, error))
                 self.refused += 1
         return False
 
     def summary(self) -> dict:
-        """How often the actuator's function has failed."""
-        return {"actuator_failures": self.refused}
+        """How often the actuator's function has failed, and how often the camera gave no picture."""
+        return {"actuator_failures": self.refused, "camera_failures": self.blind}
 
     def close(self) -> None:
         """Lets the camera go."""
@@ -85,17 +99,27 @@ class Camera:
 
     def _follow(self) -> None:
         while self._open:
-            self.newest = self._read()
+            if not self._renew():
+                time.sleep(AGAIN_S)
 
-    def _read(self) -> np.ndarray:
-        """The next frame, BGR: after a film's last its first, and of a camera that is silent the one before."""
+    def _renew(self) -> bool:
+        """Takes the next frame; of a camera that is silent the one before stays."""
+        picture = self._read()
+        if picture is not None:
+            self.newest = picture
+            return True
+        if not self.blind:
+            tell("device", f"the camera {self.source!r} gives no picture; until it does, its last one is sent again.")
+        self.blind += 1
+        return False
+
+    def _read(self) -> np.ndarray | None:
+        """The next frame, BGR, after a film's last its first; None where there is none."""
         done, picture = self.video.read()
         if not done:
             self.video.set(cv2.CAP_PROP_POS_FRAMES, 0)
             done, picture = self.video.read()
-        if done:
-            return picture
-        return getattr(self, "newest", np.zeros((*self.frame, 3), np.uint8))
+        return picture if done else None
 
     def _picture(self) -> np.ndarray:
         """The newest frame as the model takes it."""
@@ -104,6 +128,15 @@ class Camera:
         if picture.shape[:2] != self.frame:
             picture = cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA)
         return np.ascontiguousarray(picture[..., ::-1])
+
+
+def _failure(function: Actuate, error: Exception) -> str:
+    """What a function of the user's has raised and where."""
+    place = traceback.extract_tb(error.__traceback__)[-1]
+    return (
+        f"the actuator {getattr(function, '__qualname__', function)} raised {type(error).__name__}: {error} "
+        f"({Path(place.filename).name}, line {place.lineno}); it is called again, and more failures are only counted."
+    )
 
 
 def find_actuator(path: str | None) -> Actuate | None:

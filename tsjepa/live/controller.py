@@ -8,10 +8,10 @@ from contextlib import ExitStack
 
 from tsjepa.live.controller_loop import Controller
 from tsjepa.live.device import LAST_DEVICE, weather_of
-from tsjepa.live.ending import run_until_stopped, stages_line, write_report
+from tsjepa.live.ending import check_report, run_until_stopped, stages_line, write_report
 from tsjepa.live.graphs import Graphs
 from tsjepa.live.packet import most_commands
-from tsjepa.live.port import parse_address
+from tsjepa.live.port import address_text, dropped_line, parse_address
 from tsjepa.live.recorded import recorded
 from tsjepa.live.seal import read_key
 from tsjepa.support.checks import at_least, within
@@ -57,6 +57,7 @@ def controller(
     Raises:
         ValueError: an argument that cannot be.
         FileNotFoundError: there is no such deployment.
+        OSError: the address is taken, or the log or the report cannot be written.
     """
     run = Graphs(graphs, ["receive", "predict"], reference)
     within(1, LAST_DEVICE + 1, num_devices=num_devices)
@@ -67,20 +68,24 @@ def controller(
     if not realtime_factor > 0:
         raise ValueError(f"realtime_factor {realtime_factor} has to be above 0.")
     weather = weather_of(run.slot, seed, loss=loss, delay=delay, jitter=jitter, downlink=True)
+    address, seal = parse_address(bind), read_key(key)
+    check_report(report)
     # before a file is begun: whoever starts a second controller on a port keeps the log and the recording of the first
-    loop = Controller(run, num_devices, parse_address(bind), read_key(key), weather, buffer, realtime_factor)
+    loop = Controller(run, num_devices, address, seal, weather, buffer, realtime_factor)
     with ExitStack() as opened:
         opened.callback(loop.port.socket.close)
         loop.record = opened.enter_context(recorded(record, run.spec, range(num_devices)))
         if log:
-            loop.log = opened.enter_context(open(log, "w", buffering=1))
-            loop.log.write("time_s,device,slot\n")
+            loop.log = opened.enter_context(open(log, "wb", buffering=0))
+            loop.log.write(b"time_s,device,slot\n")
+        print(f"Listens at {address_text(loop.port.address)} for devices 0 to {num_devices - 1}.", flush=True)
         run_until_stopped(lambda stop: loop.run(math.inf if seconds is None else seconds, stop))
     result = loop.summary()
-    write_report(report, result)
+    refused = result["counts"]["refused"]
     print(
         f"{result['devices_heard']} devices, {result['counts']['updates']} updates used, "
-        f"{result['counts']['commands']} commands sent, {sum(result['dropped'].values())} datagrams dropped; "
-        f"{stages_line(result['stages'])}"
+        f"{result['counts']['commands']} commands sent{f', {refused} refused' if refused else ''}, "
+        f"{dropped_line(result['dropped'])}; {stages_line(result['stages'])}"
     )
+    write_report(report, result)
     return result

@@ -5,13 +5,14 @@ from __future__ import annotations
 import asyncio
 import math
 import time
-from typing import Any, TextIO
+from typing import Any, BinaryIO
 
 import numpy as np
 
 from tsjepa.live.beliefs import Beliefs
 from tsjepa.live.graphs import Graphs
 from tsjepa.live.link import Link
+from tsjepa.live.notices import tell
 from tsjepa.live.packet import COMMAND, UPDATE, Command, Dropped, Header, read_update
 from tsjepa.live.port import Address, Port
 from tsjepa.live.recorded import Record
@@ -39,11 +40,11 @@ class Controller:
         realtime_factor: how fast time passes, as at the devices.
 
     Attributes:
-        log: is written a line "seconds,device,slot" for every update that is used; None for no log.
+        log: an unbuffered file, is written a line "seconds,device,slot" for every update that is used; None for no log.
         record: takes the age behind every command, in the slot that it is for; None for nobody.
     """
 
-    log: TextIO | None = None
+    log: BinaryIO | None = None
     record: Record | None = None
 
     def __init__(
@@ -157,8 +158,16 @@ class Controller:
             self.send(number, target[row], plans[row], prompt=True)
             self.stages["receive to command"].add(time.monotonic() - arrived)
         if self.log is not None:
-            passed = time.monotonic() - self.started
-            self.log.writelines(f"{passed:.6f},{n},{s}\n" for n, s in zip(device, slot, strict=True))
+            self.write_log(self.log, device, slot)
+
+    def write_log(self, log: BinaryIO, device: np.ndarray, slot: np.ndarray) -> None:
+        """Logs the updates of devices; a disk that is full ends the log and not the loop."""
+        passed = time.monotonic() - self.started
+        try:
+            log.write("".join(f"{passed:.6f},{n},{s}\n" for n, s in zip(device, slot, strict=True)).encode())
+        except OSError as error:
+            self.log = None
+            tell("controller", f"the log ends here, it cannot be written ({error.strerror}); the loop goes on.")
 
     def predict(self) -> None:
         """Commands for the devices whose next slot has come without an update."""
@@ -177,6 +186,8 @@ class Controller:
     def send(self, number: int, slot: int, plan: np.ndarray, prompt: bool) -> None:
         """Sends a plan, as the weather lets it; one with a number that the actuator does not take stays here."""
         if not ((plan >= self.graphs.low) & (plan <= self.graphs.high)).all():
+            if not self.counts["refused"]:
+                tell("controller", f"the model's command for device {number} is no finite number and is not sent.")
             self.counts["refused"] += 1
             return
         with self.stages["send"].timed():

@@ -10,9 +10,10 @@ import numpy as np
 
 from tsjepa.live.camera import Camera, find_actuator
 from tsjepa.live.device_loop import Device
-from tsjepa.live.ending import run_until_stopped, stages_line, write_report
+from tsjepa.live.ending import check_report, run_until_stopped, stages_line, write_report
 from tsjepa.live.graphs import Graphs
-from tsjepa.live.port import parse_address
+from tsjepa.live.notices import tell
+from tsjepa.live.port import dropped_line, parse_address
 from tsjepa.live.recorded import recorded
 from tsjepa.live.seal import read_key
 from tsjepa.support.checks import at_least, within
@@ -73,7 +74,8 @@ def device(
 
     Raises:
         ValueError: an argument that cannot be.
-        FileNotFoundError: there is no such deployment or camera.
+        FileNotFoundError: there is no such deployment or camera, or the camera gives no picture.
+        OSError: the report cannot be written, or there is no way to the controller.
         ModuleNotFoundError: simulated plants and weather need torch.
     """
     at_least(1, num_devices=num_devices, period=period, **({} if slots is None else {"slots": slots}))
@@ -90,6 +92,7 @@ def device(
     address, seal = parse_address(controller), read_key(key)
     safe_command = None if safe is None else checked_safe(safe, run)
     weather = weather_of(run.slot, seed, loss=loss, delay=delay, jitter=jitter, trace=trace)
+    check_report(report)
     with ExitStack() as opened:
         if camera is None:
             machine = _simulated(run, plant, numbers, seed, episode_slots, frame_history)
@@ -114,11 +117,19 @@ def device(
         )
         run_until_stopped(lambda stop: loop.run(slots, stop))
     result = loop.summary()
-    write_report(report, result)
+    failures = [
+        f", {count} {name.replace('_', ' ')}"
+        for name, count in result["machine"].items()
+        if name.endswith("_failures") and count
+    ]
     print(
         f"{result['slots']} slots, {result['missed_deadlines']} deadlines missed, {result['updates']['sent']} updates "
-        f"sent, {result['commands']['received']} commands received; {stages_line(result['stages'])}"
+        f"sent, {result['commands']['received']} commands received, {dropped_line(result['dropped'])}"
+        f"{''.join(failures)}; {stages_line(result['stages'])}"
     )
+    if unheard := result["devices_without_a_command"]:
+        tell("device", loop.silence.sentence(unheard, "in the whole run"))
+    write_report(report, result)
     return result
 
 

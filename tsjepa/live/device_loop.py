@@ -13,9 +13,10 @@ from tsjepa.live.graphs import Graphs
 from tsjepa.live.link import Link
 from tsjepa.live.packet import COMMAND, HELLO, UPDATE, Dropped, Update, read_command
 from tsjepa.live.plans import Plans
-from tsjepa.live.port import Address, Port
+from tsjepa.live.port import Address, Port, address_text
 from tsjepa.live.recorded import Record
 from tsjepa.live.seal import Seal
+from tsjepa.live.silence import SILENCE_S, Silence
 from tsjepa.live.timing import Durations, Metronome
 
 STAGES = ("capture", "encode", "send", "receive", "apply")
@@ -68,16 +69,19 @@ class Device:
         self.remember()
         self.radio = {number: [False, False] for number in numbers}  # sent, and not lost on purpose, in this slot
         self.port = Port(self.hear, connect=controller)
+        patience_s = SILENCE_S + period * self.metronome.period
+        self.silence = Silence(self.port, address_text(controller), patience_s)
 
     async def run(self, slots: int | None, stop: asyncio.Event) -> None:
         """Greets the controller, then works ``slots`` slots or until ``stop``; leaves the actuator safe."""
         self.port.open()
+        began = time.monotonic()
         try:
-            while not stop.is_set() and not all(link.peer for link in self.links.values()):
-                for link in self.links.values():
-                    if not link.peer:
-                        self.port.send(self.seal.close(link.header(HELLO)))
+            while not stop.is_set() and (waiting := self.strangers()):
+                for number in waiting:
+                    self.port.send(self.seal.close(self.links[number].header(HELLO)))
                 await asyncio.sleep(KNOCK_S)
+                self.silence.check(time.monotonic(), dict.fromkeys(self.strangers(), began))
             # one more, in which the last one ends
             async for slot in self.metronome.slots(None if slots is None else slots + 1, stop):
                 self.tick(slot)
@@ -88,9 +92,15 @@ class Device:
                 self.machine.act(np.repeat(self.safe[None], len(self.links), 0))
             self.port.close()
 
+    def strangers(self) -> list[int]:
+        """Numbers of the devices that the controller has not answered yet."""
+        return [number for number, link in self.links.items() if not link.peer]
+
     def tick(self, slot: int) -> None:
         """Hears what has come, and ends the slots before ``slot``."""
         self.port.drain()
+        begun = self.metronome.started
+        self.silence.check(time.monotonic(), {number: max(at, begun) for number, at in self.heard_at.items()})
         while self.slot < slot:
             self.end_slot()
 
@@ -225,6 +235,10 @@ class Device:
                 numbers["state"] = state[row]
             record(number, self.slot, {"camera": self.seen[row, -1]}, numbers)
 
+    def unheard(self) -> list[int]:
+        """Numbers of the devices for which no command has ever come; where some were not even answered, of those."""
+        return self.strangers() or [number for number, at in self.heard_at.items() if at == -math.inf]
+
     def summary(self) -> dict:
         """What happened, as plain values."""
         return {
@@ -233,6 +247,7 @@ class Device:
             "missed_share": (self.metronome.missed + self.late) / max(self.slot, 1),
             "updates": {name: self.counts[name] for name in ("sent", "lost")},
             "commands": {"received": self.counts["commands"], **{n: self.counts[n] for n in ("safe", "held")}},
+            "devices_without_a_command": self.unheard(),
             "round_trip_slots": max(plans.round_trip for plans in self.plans.values()),
             "dropped": dict(self.port.drops),
             "stages": {name: stage.summary() for name, stage in self.stages.items()},

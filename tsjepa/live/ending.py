@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import signal
+import tempfile
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 
@@ -24,11 +25,30 @@ def run_until_stopped(work: Callable[[asyncio.Event], Awaitable[None]]) -> None:
     asyncio.run(main())
 
 
+def check_report(path: str | None) -> None:
+    """Makes the folder of a report before the run.
+
+    Raises:
+        OSError: the report could not be written there.
+    """
+    if path is None:
+        return
+    if Path(path).is_dir():
+        raise IsADirectoryError(f"report {path} is a folder: name a JSON file in it.")
+    try:
+        Path(path).parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=Path(path).parent):
+            pass
+    except OSError as error:
+        raise OSError(
+            f"The report {path} cannot be written ({error.strerror}): choose a folder that you may write to."
+        ) from error
+
+
 def write_report(path: str | None, report: dict) -> None:
     """Writes what happened as JSON, so that a reader finds all of it or nothing."""
     if path is None:
         return
-    Path(path).parent.mkdir(parents=True, exist_ok=True)
     write_json(path, report)
 
 
