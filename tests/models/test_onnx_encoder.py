@@ -73,6 +73,7 @@ def test_an_entry_holds_the_graph_and_does_not_need_the_file(tmp_path):
     assert torch.equal(twin.encode(tiny_controller.frames()), again.encode(tiny_controller.frames()))
     with pytest.raises(ValueError, match="ONNX graph already"):
         deploy(str(tmp_path / "model"), str(tmp_path / "graphs"))
+    assert not list(tmp_path.glob("graphs*"))
 
 
 @pytest.mark.parametrize("layout", ["channels first", "channels last"])

@@ -79,7 +79,10 @@ class OnnxEncoder(nn.Module):
             ValueError: other frames than the graph's, ONNX Runtime refuses to run it, or it is being exported.
         """
         if torch.compiler.is_exporting():
-            raise ValueError("The encoder of this model is an ONNX graph already: run its file on the device.")
+            raise ValueError(
+                "A model with an OnnxEncoder cannot be exported or deployed, its encoder is an ONNX graph already: run "
+                "that file with ONNX Runtime, or fit a model whose encoder is a tsjepa.models.Encoder."
+            )
         if frames.dtype != torch.uint8 or tuple(frames.shape[-4:]) != self.frame_shape:
             raise ValueError(
                 f"The encoder takes uint8 frames of shape [..., {', '.join(map(str, self.frame_shape))}], not "

@@ -176,7 +176,7 @@ def deploy(model: str, folder: str, format: Literal["onnx", "torch_export"] = "o
     Raises:
         FileExistsError: ``folder`` holds something else.
         ModuleNotFoundError: a package that writes ONNX is not installed.
-        ValueError: the model came without the ranges of its integer codec.
+        ValueError: the model came without the ranges of its integer codec, or its encoder cannot be exported.
     """
     target = Path(folder).absolute()
     refuse_to_replace(target, "deployment", DESCRIPTION)
@@ -190,11 +190,14 @@ def deploy(model: str, folder: str, format: Literal["onnx", "torch_export"] = "o
     with exclusive(target):
         shutil.rmtree(partial, ignore_errors=True)
         partial.mkdir(parents=True)
-        for name, graph in parts.items():
-            save = save_onnx if format == "onnx" else save_program
-            save(graph, partial / f"{name}.{SUFFIXES[format]}")
-        (partial / DESCRIPTION).write_text(json.dumps(description(model, controller, parts), indent=2) + "\n")
-        replace_folder(partial, target)
+        try:
+            for name, graph in parts.items():
+                save = save_onnx if format == "onnx" else save_program
+                save(graph, partial / f"{name}.{SUFFIXES[format]}")
+            (partial / DESCRIPTION).write_text(json.dumps(description(model, controller, parts), indent=2) + "\n")
+            replace_folder(partial, target)
+        finally:
+            shutil.rmtree(partial, ignore_errors=True)
     files = sorted(path.name for path in target.iterdir())
     print(f"{model} deployed to {folder}: {', '.join(files)}.")
     return {"folder": folder, "files": files}
