@@ -43,7 +43,7 @@ def test_so_is_that_of_devices_that_remember(monkeypatch, remembering):
 
 def runs_alike(monkeypatch, folder, model, period, loss):
     """Runs both loops and compares deliveries, states and scores."""
-    log, live = io.StringIO(), World(monkeypatch)
+    log, live = io.BytesIO(), World(monkeypatch)
     graphs = Graphs(str(folder), ["device", "receive", "predict"], ())
     described = graphs.description["plant"]
     live.control(devices=DEVICES, graphs=graphs).log = log
@@ -60,7 +60,7 @@ def runs_alike(monkeypatch, folder, model, period, loss):
     loop = Loop(build_plant(described), model, num_devices=DEVICES, slots=SLOTS, radio=radio, frame_history=HISTORY)
     simulated = run(every(loop, period), SEED)
     delivered = np.zeros((SLOTS, DEVICES), bool)
-    for line in log.getvalue().splitlines():
+    for line in log.getvalue().decode().splitlines():
         _, device, slot = line.split(",")
         delivered[int(slot), int(device)] = True
     assert np.array_equal(delivered, simulated.delivered.numpy())
