@@ -1,4 +1,4 @@
-"""One tiny data set and one tiny fit that all faults are tried on."""
+"""One tiny data set, and a tiny TS-JEPA and its actor, that all faults are tried on."""
 
 import os
 import shutil
@@ -10,19 +10,20 @@ import tiny
 from tsjepa import cli
 
 RECIPE, DATA_RECIPE = "recipes/jepa.yaml", "recipes/data.yaml"
-DATA, RUN = Path("data/cartpole"), Path("runs/jepa")
+DATA, RUN, ACTOR = Path("data/cartpole"), Path("runs/jepa"), Path("runs/actor")
 
 
 @pytest.fixture(scope="session")
 def fitted(tmp_path_factory) -> Path:
-    """A folder with the tiny recipes, their data set, and a run of recipes/jepa.yaml."""
+    """A folder with the tiny recipes, their data set, and a run of recipes/jepa.yaml and of recipes/actor.yaml."""
     folder = tmp_path_factory.mktemp("fitted")
     for name in tiny.NAMES:
         tiny.write(folder, name, tiny.shrink(tiny.load(name)))
     before = Path.cwd()
     os.chdir(folder)
     try:
-        assert cli.main(["fit", "--config", RECIPE]) == 0
+        for recipe in (RECIPE, "recipes/actor.yaml"):
+            assert cli.main(["fit", "--config", recipe]) == 0
     finally:
         os.chdir(before)
     return folder

@@ -239,7 +239,7 @@ WRONG = {
         ("ckpt_path", "recipes/data.yaml"),
     ],
 }
-EXPORTS = [("nobody", "name"), ("runs/jepa", "../name"), ("runs/jepa", ""), ("", "name"), ("recipes", "name")]
+EXPORTS = [("nobody", "name"), ("runs/actor", "../name"), ("runs/actor", ""), ("", "name"), ("recipes", "name")]
 
 
 @pytest.mark.parametrize(
@@ -248,7 +248,7 @@ EXPORTS = [("nobody", "name"), ("runs/jepa", "../name"), ("runs/jepa", ""), ("",
 def test_values_that_cannot_be(work, tmp_path, command, option, value):
     elsewhere = {"collect": "--path", "simulate": "--output", "evaluate": "--output"}
     where = [f"{elsewhere[command]}={tmp_path}/new"] if command in elsewhere else []
-    where += ["--model=runs/jepa/model"] if command == "evaluate" else []
+    where += ["--model=runs/actor/model"] if command == "evaluate" else []
     refused(command, "--config", RECIPES[command], *where, f"--{option}={value}")
 
 

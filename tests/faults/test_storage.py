@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 import torch
 import yaml
-from conftest import DATA, DATA_RECIPE, RECIPE, RUN
+from conftest import ACTOR, DATA, DATA_RECIPE, RECIPE, RUN
 from tensordict import TensorDict
 
 from tsjepa.data.storage import METADATA, open_split, write_picture
@@ -27,7 +27,7 @@ from tsjepa.support.files import exclusive, replace_folder, write_text
 from tsjepa.support.journal import Journal
 from tsjepa.training.resume import AtomicCheckpointIO
 
-EXPORT = ("export", str(RUN), "tiny")
+EXPORT = ("export", str(ACTOR), "tiny")
 
 
 @pytest.fixture
@@ -90,9 +90,9 @@ def seal(mount):
 @pytest.fixture
 def evaluation(home):
     """An evaluation of the model that the tiny fit left."""
-    figures = {"model_sha256": entries.load(home / RUN / "model").entry_sha256, "closed_loop": []}
-    (home / RUN / "evaluation").mkdir()
-    (home / RUN / "evaluation" / "evaluation.json").write_text(json.dumps(figures))
+    figures = {"model_sha256": entries.load(home / ACTOR / "model").entry_sha256, "closed_loop": []}
+    (home / ACTOR / "evaluation").mkdir()
+    (home / ACTOR / "evaluation" / "evaluation.json").write_text(json.dumps(figures))
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -276,7 +276,7 @@ def test_a_damaged_description_of_a_data_set_is_named(home, command, name):
     assert status == 2 and "damaged" in complaint and str(DATA) in complaint
 
 
-@pytest.mark.parametrize("name", [f"{RUN}/evaluation/evaluation.json", "seeds.json"])
+@pytest.mark.parametrize("name", [f"{ACTOR}/evaluation/evaluation.json", "seeds.json"])
 @pytest.mark.parametrize("content", ['{"model_sha256": "4', "", "[]"])
 def test_a_damaged_result_is_named_by_the_export(evaluation, home, command, name, content):
     (home / name).write_text(content)
@@ -311,6 +311,10 @@ def test_weights_that_were_tampered_with_are_refused_by_every_command(evaluation
     weights.write_bytes(weights.read_bytes()[:-1] + b"\x7f")
     recipe = yaml.safe_load((home / "recipes" / "actor.yaml").read_text())
     assert recipe["model"]["init_args"]["pretrained"] == f"{RUN}/model"
-    for arguments in (EXPORT, ("evaluate", "--model", f"{RUN}/model"), ("fit", "--config", "recipes/actor.yaml")):
+    for arguments in (
+        ("export", str(RUN), "tiny"),
+        ("evaluate", "--model", f"{RUN}/model"),
+        ("fit", "--config", "recipes/actor.yaml"),
+    ):
         status, complaint = command(*arguments)
         assert status == 2 and "is not the file that the manifest names" in complaint
