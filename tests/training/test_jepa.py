@@ -248,9 +248,24 @@ class Forgetful(Means):
         super().__init__()
 
 
+class WidePatches(Means):
+    def embed(self, patches):
+        return torch.zeros(len(patches), 3 * D)
+
+
+class OtherPatches(Means):
+    def embed(self, patches):
+        return torch.nn.functional.one_hot(torch.zeros(len(patches), dtype=torch.int64), D).float()
+
+
 @pytest.mark.parametrize(
     ("kind", "said"),
     [
+        (
+            WidePatches,
+            r"embed of the encoder WidePatches gives \[2, 48\] for 2 stacks of patches, its forward \[2, 16\]",
+        ),
+        (OtherPatches, r"embed of the encoder OtherPatches gives embeddings that are \S+ from those of its forward"),
         (NoFrameShape, r"NoFrameShape has the frame_shape None; set self\.frame_shape ="),
         (NoDim, r"NoDim has the embedding_dim None; set self\.embedding_dim"),
         (Long, r"Long gives embeddings of lengths 5 and 5, .*normalize"),

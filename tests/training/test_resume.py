@@ -180,11 +180,14 @@ def test_a_log_whose_lines_lack_a_later_column_goes_on(tmp_path):
 @pytest.mark.parametrize(
     ("checkpoint", "expected"), [(None, "loss,step\n1.0,9\n"), ("last.ckpt", "loss,step\n3.0,0\n2.0,1\n1.0,9\n")]
 )
-def test_only_a_fit_that_goes_on_from_a_checkpoint_keeps_the_rows_before_its_first(tmp_path, checkpoint, expected):
+def test_only_a_fit_that_goes_on_from_a_checkpoint_keeps_the_rows_before_its_first(
+    tmp_path, checkpoint, expected, capsys
+):
     logged(tmp_path, (0, {"loss": 3.0}), (1, {"loss": 2.0}))
     logger = ContinuedCSVLogger(tmp_path, name="", version="run")
-    trainer = SimpleNamespace(ckpt_path=checkpoint, is_global_zero=True, loggers=[logger])
-    FreshLog().on_train_start(trainer, None)
+    trainer = SimpleNamespace(ckpt_path=checkpoint, is_global_zero=True, loggers=[logger], default_root_dir="runs/one")
+    FreshLog("last").on_train_start(trainer, None)
+    assert ("runs/one has no checkpoint to go on from" in capsys.readouterr().out) == (checkpoint is None)
     logger.log_metrics({"loss": 1.0}, 9)
     logger.save()
     assert (tmp_path / "run" / "metrics.csv").read_text() == expected

@@ -299,6 +299,12 @@ def test_the_list_shows_the_key_figures_of_every_entry(tmp_path, monkeypatch, ca
     assert first == ["tiny", "64", "0.988 ± 0.012, 2", "0.900 ± 0.012, 2", "-", "-", "0.0052", "27", size]
     assert second[:-1] == ["unmeasured", "64", *"------"]
     assert printed == table([key_figures("tiny"), key_figures("unmeasured")]) + "\n"
+    assert cli.main(["zoo", "--json"]) == 0
+    first, second = json.loads(capsys.readouterr().out)
+    scores = [(row["update_every"], row["normalized_score"], row["failures"]) for row in first["closed_loop"]]
+    assert scores == [(1, 0.9876, 2), (5, 0.9, 2)]
+    assert (first["command_nmae"], first["sent_once"], first["bits_per_update_int8"]) == (0.0052, {FIRST_LOST: 27}, 64)
+    assert second["closed_loop"] == [] and second["command_nmae"] is second["sent_once"] is None
 
 
 def test_the_list_says_what_the_card_says():

@@ -91,11 +91,22 @@ def whole_rows(path: Path) -> tuple[list[str], list[dict[str, str]]]:
 class FreshLog(Callback):
     """Removes an earlier fit's log from the folder of one that goes on from no checkpoint. Every ``tsjepa fit`` has it.
 
-    Lightning has read by then the checkpoint that there is to go on from; ``--ckpt_path last`` may find none.
+    Lightning has read by then the checkpoint that there is to go on from; ``--ckpt_path last`` may find none, which is
+    said.
+
+    Args:
+        asked: the checkpoint that the command names, or None.
     """
+
+    def __init__(self, asked: str | None = None) -> None:
+        self.asked = asked
 
     def on_train_start(self, trainer: Trainer, module: LightningModule) -> None:
         if trainer.is_global_zero and not trainer.ckpt_path:
+            if self.asked is not None:
+                print(
+                    f"{trainer.default_root_dir} has no checkpoint to go on from, so the fit begins at its beginning."
+                )
             for logger in trainer.loggers:
                 if isinstance(logger, ContinuedCSVLogger):
                     Path(logger.experiment.metrics_file_path).unlink(missing_ok=True)

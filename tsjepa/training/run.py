@@ -92,12 +92,13 @@ def device_of(accelerator: object) -> torch.device:
     return torch.device("cpu")
 
 
-def equipment(root: Path, checkpoints: bool) -> list[Callback]:
+def equipment(root: Path, checkpoints: bool, asked: str | None) -> list[Callback]:
     """What every fit has, so that recipes need not name it: the result, predictions and checkpoints below ``root``.
 
-    The export comes behind what a recipe lists, so that it writes what the finishes have made.
+    The export comes behind what a recipe lists, so that it writes what the finishes have made. ``asked`` is the
+    checkpoint that the command names.
     """
-    every = [FreshLog(), RecipeRules(), StopWhenNotFinite(), Pace(), ExportModel(), WritePredictions()]
+    every = [FreshLog(asked), RecipeRules(), StopWhenNotFinite(), Pace(), ExportModel(), WritePredictions()]
     if not checkpoints:
         return every
     last = {"save_last": True, "every_n_epochs": 1, "save_on_train_epoch_end": True, "enable_version_counter": False}
@@ -162,7 +163,8 @@ def run_lightning(
             self.model.to(memory_format=MEMORY_FORMATS[settings.memory_format])
             if settings.trainer.logger in (None, True):
                 kwargs["logger"] = ContinuedCSVLogger(root.parent, name="", version=root.name)
-            self.trainer_defaults["callbacks"] += equipment(root, settings.trainer.enable_checkpointing is not False)
+            checkpoints = settings.trainer.enable_checkpointing is not False
+            self.trainer_defaults["callbacks"] += equipment(root, checkpoints, settings.ckpt_path)
             return super().instantiate_trainer(precision=chosen.trainer, default_root_dir=root, **kwargs)
 
         # Two fits in one folder would mix their checkpoints and logs.

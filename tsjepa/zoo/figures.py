@@ -38,20 +38,37 @@ def own_rows(metrics: dict) -> dict[int | str, dict]:
     return {row["update_every"]: row for row in rows if not row["controller"].startswith("expert")}
 
 
-def key_figures(name: str) -> dict[str, str]:
-    """What the list shows of an entry, by heading: scores with their 95 % intervals; "-" where nobody has measured."""
+def figures(name: str) -> dict:
+    """What the list shows of an entry, as numbers: ``closed_loop`` has a row for each listed number of slots between
+    updates that was evaluated, ``training_seeds`` is as in the entry's metrics; None where nobody has measured."""
     folder = find(name)
     metrics = read_json(folder / METRICS)
     rows = own_rows(metrics)
+    wanted = ("update_every", "normalized_score", "interval_95", "failures", "starts")
+    return {
+        "entry": Path(name).name,
+        "bits_per_update_int8": _int8_bits(folder),
+        "closed_loop": [{key: rows[every][key] for key in wanted} for every in LISTED_PERIODS if every in rows],
+        "command_nmae": metrics.get("open_loop", {}).get("command_nmae"),
+        "sent_once": {FIRST_LOST: rows["once"][FIRST_LOST]} if FIRST_LOST in rows.get("once", {}) else None,
+        "megabytes": sum(path.stat().st_size for path in folder.iterdir()) / 1e6,
+        "training_seeds": metrics.get("training_seeds"),
+    }
+
+
+def key_figures(name: str) -> dict[str, str]:
+    """The same in words, by heading: scores with their 95 % intervals; "-" where nobody has measured."""
+    of = figures(name)
+    rows = {row["update_every"]: row for row in of["closed_loop"]}
     scores = [rows.get(period) for period in LISTED_PERIODS]
-    first_lost = rows.get("once", {}).get(FIRST_LOST, "-")
+    first_lost = (of["sent_once"] or {FIRST_LOST: "-"})[FIRST_LOST]
     shown = [
-        Path(name).name,
-        _int8_bits(folder),
+        of["entry"],
+        str(of["bits_per_update_int8"] or "-"),
         *("-" if row is None else _score(row) for row in scores),
-        f"{metrics['open_loop']['command_nmae']:.4f}" if "open_loop" in metrics else "-",
+        "-" if of["command_nmae"] is None else f"{of['command_nmae']:.4f}",
         "never" if first_lost is None else str(first_lost),
-        f"{sum(path.stat().st_size for path in folder.iterdir()) / 1e6:.1f}",
+        f"{of['megabytes']:.1f}",
     ]
     return dict(zip(HEADINGS, shown, strict=True))
 
@@ -95,12 +112,12 @@ def _score(row: dict) -> str:
     return f"{row['normalized_score']:.3f} ± {row['interval_95']:.3f}, {row['failures']}"
 
 
-def _int8_bits(folder: Path) -> str:
-    """Bits of an embedding of 8 bits a number; "-" where the entry came without the ranges that it needs."""
+def _int8_bits(folder: Path) -> int | None:
+    """Bits of an embedding of 8 bits a number; None where the entry came without the ranges that it needs."""
     with safe_open(folder / WEIGHTS, "pt") as weights:
         if "code_low" not in weights.keys():  # noqa: SIM118 - not a dictionary
-            return "-"
-        return str(8 * weights.get_slice("code_low").get_shape()[0])
+            return None
+        return 8 * weights.get_slice("code_low").get_shape()[0]
 
 
 def table(entries: list[dict[str, str]], headings: Sequence[str] = HEADINGS) -> str:
@@ -112,12 +129,11 @@ def table(entries: list[dict[str, str]], headings: Sequence[str] = HEADINGS) -> 
     return "\n".join(f"| {' | '.join(line)} |" for line in padded)
 
 
-def listed(names: list[str]) -> tuple[list[dict[str, str]], list[dict[str, str]]]:
-    """The rows of both tables of these entries, printed: the models, and the training seeds of those that have some."""
-    models = [key_figures(name) for name in names]
+def listed(names: list[str]) -> list[dict]:
+    """The :func:`figures` of these entries, printed as tables: the models, then those of several training seeds."""
+    print(table([key_figures(name) for name in names]))
     seeds = [row for name in names if (row := seed_figures(name)) is not None]
-    print(table(models))
     if seeds:
         print("\nOver training seeds, on starts that no recipe was chosen on:\n")
         print(table(seeds, SEED_HEADINGS))
-    return models, seeds
+    return [figures(name) for name in names]

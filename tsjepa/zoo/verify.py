@@ -13,7 +13,7 @@ from tsjepa.evaluation.metrics import normalized_score
 from tsjepa.evaluation.rollouts import every, perfect_feedback, run
 from tsjepa.models import Controller
 from tsjepa.models.entries import names
-from tsjepa.zoo.figures import key_figures, listed, own_rows
+from tsjepa.zoo.figures import figures, listed, own_rows
 from tsjepa.zoo.train import train
 
 VERIFIED_PERIODS = (1, 5)
@@ -39,7 +39,7 @@ def zoo(
         seeds: of a training, how many; their intervals need at least 2.
 
     Returns:
-        What was printed, one dictionary a line.
+        What was printed, as numbers: a dictionary for each entry, or for each loop that was closed again.
 
     Raises:
         DamagedEntryError: a file is missing or has changed.
@@ -47,12 +47,10 @@ def zoo(
         RuntimeError: a step of a training failed.
     """
     if action == "train":
-        entry = train(name or "", seeds)
-        return [key_figures(str(entry))]
+        return [figures(str(train(name or "", seeds)))]
     chosen = names() if name is None else [name]
     if action == "list":
-        models, of_seeds = listed(chosen)
-        return [*models, *of_seeds]
+        return listed(chosen)
     failed, scored = [], []
     for entry in chosen:
         checks = rescore(load_on(entry, device), entry)
