@@ -84,7 +84,7 @@ def _patches(encoder: nn.Module, frames: torch.Tensor) -> torch.Tensor:
     if any(side % PATCH for side in frames.shape[2:4]):
         raise ValueError(
             f"The encoder {type(encoder).__name__} has embed, which gets patches of {PATCH} x {PATCH} pixels, and "
-            f"frames of {frames.shape[2]} x {frames.shape[3]}: make their sides multiples of {PATCH}, or leave embed out."
+            f"frames of {frames.shape[2]} x {frames.shape[3]}: make the sides multiples of {PATCH}, or leave embed out."
         )
     return patchify(colors)
 
