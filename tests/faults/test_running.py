@@ -10,6 +10,7 @@ from deadly import die, die_once
 
 from tsjepa.data.storage import read_metadata
 from tsjepa.plants import CartPole
+from tsjepa.support.trust import everything_trusted, may_import
 from tsjepa.support.workers import ATTEMPTS, run_items
 from tsjepa.training.jepa import TSJEPA
 
@@ -83,3 +84,12 @@ def test_a_killed_worker_of_a_ray_cluster_costs_its_item_and_not_the_run(items):
         assert sorted(run_items(die_once, items, workers="ray")) == [(index, str(index)) for index in range(5)]
     finally:
         ray.shutdown()
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_workers_trust_what_the_process_that_asks_them_trusts(workers):
+    """May they import what is not this package's own?"""
+    items = ["another_package.Own"] * 3
+    assert {allowed for _, allowed in run_items(may_import, items, workers)} == {False}
+    with everything_trusted():
+        assert {allowed for _, allowed in run_items(may_import, items, workers)} == {True}

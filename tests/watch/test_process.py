@@ -8,6 +8,7 @@ import pytest
 from tsjepa.envs import Radio
 from tsjepa.evaluation.rollouts import Loop
 from tsjepa.plants import CartPole
+from tsjepa.support.trust import everything_trusted
 from tsjepa.watch import process
 from tsjepa.watch.process import FORGIVEN_S, Clock, running
 from tsjepa.watch.setting import Setting
@@ -82,4 +83,25 @@ def test_a_fleet_in_its_own_process_runs_answers_and_ends_with_the_block():
         assert ask(replace(setting, devices=5), [4]).setting.devices == 5
         assert later.scenes.shape[0] == 3
     with pytest.raises(OSError):
+        ask(setting, [])
+
+
+OWN = """
+from tsjepa.radio import grant
+
+def nearest(known):
+    return grant(known.snr, known.candidate, known.demand, known.budget), known.memory
+"""
+
+
+@pytest.mark.slow
+def test_a_scheduler_of_ones_own_is_trusted_in_the_other_process_as_in_this_one(tmp_path, monkeypatch):
+    (tmp_path / "own_scheduler.py").write_text(OWN)
+    monkeypatch.syspath_prepend(tmp_path)
+    setting = Setting(devices=3, snr_db=20.0, loss=0.0, scheduler="own_scheduler.nearest", codec="fp32")
+    loop = Loop(CartPole(), "linear", slots=2**31, radio=Radio(resource_blocks=1), frame_history=2)
+    with everything_trusted(), running(loop, "linear", setting, 0) as ask:
+        now = ask(setting, [])
+        assert now.setting == setting and not now.complaint
+    with running(loop, "linear", setting, 0) as ask, pytest.raises((EOFError, OSError)):
         ask(setting, [])

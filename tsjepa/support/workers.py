@@ -13,6 +13,7 @@ from queue import SimpleQueue
 from typing import Any, Final, Literal
 
 from tsjepa.support.checks import at_least
+from tsjepa.support.trust import trusting_as_here
 
 RAY: Final = "ray"
 ATTEMPTS = 3  # at an item whose worker is killed
@@ -36,6 +37,7 @@ def run_items(function: Callable[[Any], Any], items: Iterable[Any], workers: Wor
         ValueError: fewer than one worker.
         RuntimeError: an item's workers were killed again and again.
     """
+    function = trusting_as_here(function)
     if workers == RAY:
         yield from _over_ray(function, items)
         return

@@ -41,7 +41,7 @@ def watch(
         controller: a model by name or folder, or one of tsjepa.envs.make.ON_STATE, such as "hold".
         plant: the kind of machine; left out, the one that the model was trained on.
         num_devices: I at the start.
-        scheduler: the one at the start, a name in tsjepa.radio.SCHEDULERS.
+        scheduler: the one at the start, a name in tsjepa.radio.SCHEDULERS or the import path of your own.
         radio: what no slider sets. In the default one the devices share 0.1 MHz: ten resource units a slot.
         frame_history: slots up to a device's step 0, the warm-up at rest; at least those of the model's stack.
         seed: of starts, noise, channels and losses.
@@ -64,11 +64,16 @@ def watch(
     machine = plant_for(model_or_name, plant)
     loop = Loop(machine, model_or_name, scheduler, num_devices, 2**31, radio, frame_history)
     setting = first_setting(loop)
-    with_setting(loop, setting).env(seed)  # says now what does not fit together
+    with_setting(loop, setting).env(seed).reset()  # says now what does not fit together, also in the first slot
     warn_of_another_renderer(machine.camera(), getattr(model_or_name, "metrics", None))
     with running(loop, controller, setting, seed) as ask:
         print(f"The fleet is at http://127.0.0.1:{port}; Ctrl-C ends it.", flush=True)
-        serve(Screen(ask, setting, machine, model_or_name), codecs_of(loop), list(SCHEDULERS), port)
+        serve(
+            Screen(ask, setting, machine, model_or_name),
+            codecs_of(loop),
+            list(dict.fromkeys([*SCHEDULERS, scheduler])),
+            port,
+        )
 
 
 def first_setting(loop: Loop) -> Setting:

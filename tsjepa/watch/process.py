@@ -15,6 +15,7 @@ import torch
 
 from tsjepa.evaluation.rollouts import Loop
 from tsjepa.evaluation.simulate import load_controller
+from tsjepa.support.trust import trusting_as_here
 from tsjepa.watch.fleet import RunningFleet
 from tsjepa.watch.setting import Setting, Snapshot
 
@@ -67,7 +68,7 @@ def running(loop: Loop, controller: str, setting: Setting, seed: int) -> Iterato
     context = multiprocessing.get_context("spawn")  # an OpenGL context does not survive a fork
     here, there = context.Pipe()
     arguments = (there, replace(loop, controller=controller), setting, seed)
-    process = context.Process(target=serve, args=arguments, daemon=True, name="tsjepa-fleet")
+    process = context.Process(target=trusting_as_here(serve), args=arguments, daemon=True, name="tsjepa-fleet")
     process.start()
     there.close()
 
