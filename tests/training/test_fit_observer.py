@@ -56,6 +56,34 @@ def test_the_gain_becomes_kalmans(process_std, seen_std):
     assert gain == pytest.approx(p / (p + r), abs=0.04)
 
 
+def test_one_that_knows_the_last_command_learns_what_that_has_done_to_what_is_seen():
+    """A point that is seen half a command behind where it is, as two frames show a rate half a slot late."""
+    torch.manual_seed(0)
+    generator, model = torch.Generator().manual_seed(0), tiny_controller.tiny()
+    model.observer, model.predictor = Observer(2, gain=1.0, hidden_dim=32, memory=False), Turn()
+
+    def behind(rows: int, slots: int) -> tuple[TensorDict, torch.Tensor]:
+        command = 0.3 * torch.randn(rows, slots, generator=generator)
+        angle = 2 * math.pi * torch.rand(rows, 1, generator=generator) + command.cumsum(1)
+        start = angle[:, :1] - command[:, :1]
+        seen = circle(torch.cat((start, angle - 0.5 * command), 1))
+        data = {"embedding": seen, "action": command.unsqueeze(-1)}
+        return TensorDict(data, batch_size=[rows]), circle(angle)
+
+    optimizer = torch.optim.Adam(model.observer.parameters(), 0.01)
+    starts = behind(1, 4)[0]
+    for step in range(300):
+        for group in optimizer.param_groups:
+            group["lr"] = 0.01 * (1 - step / 300)
+        optimizer.zero_grad()
+        watched_loss(model, behind(512, 6)[0], starts).backward()
+        optimizer.step()
+    data, true = behind(1000, 1)
+    belief = model.belief_after(data["embedding"], data["action"])
+    seen_off, off = ((1 - (points * true[:, 0]).sum(-1)).mean() for points in (data["embedding"][:, 1], belief))
+    assert off < seen_off / 10
+
+
 def embedded(episodes: int = 6, slots: int = 25) -> TensorDict:
     number = torch.arange(float(episodes * slots)).view(episodes, slots, 1)
     return TensorDict({"embedding": number, "action": number + 0.5}, batch_size=[episodes, slots])

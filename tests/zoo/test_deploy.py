@@ -219,8 +219,14 @@ def test_the_description_says_what_goes_in_and_comes_out(deployment):
     assert said["graphs"]["receive"]["inputs"].get("reference") == ("float32 [rows, 1]" if takes else None)
 
 
-def test_a_device_that_remembers_sends_its_belief(tmp_path):
+@pytest.mark.parametrize("options", [{"gain": 0.6}, {"hidden_dim": 12}, {"hidden_dim": 12, "memory": False}])
+def test_a_device_that_remembers_sends_its_belief(tmp_path, options):
     model = MODELS["tiny with an observer"]()
+    torch.manual_seed(0)
+    model.observer = Observer(model.embedding_dim, **options).eval()
+    with torch.no_grad():
+        for weights in model.observer.parameters():
+            weights.add_(0.1 * torch.randn_like(weights))
     deploy(str(entries.save(model, tmp_path / "model")), str(tmp_path / "graphs"), "torch_export")
     said = json.loads((tmp_path / "graphs" / "deployment.json").read_text())["graphs"]["device"]
     d = model.embedding_dim

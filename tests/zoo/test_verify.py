@@ -356,6 +356,8 @@ def test_a_card_says_what_the_figures_say():
     remembering.observer = Observer(remembering.embedding_dim)
     told = card("tiny", remembering, FIGURES)
     assert "z = model.correct(z, u, model.encode(next_frames))" in told.splitlines() and "The device remembers" in told
+    remembering.observer = Observer(remembering.embedding_dim, hidden_dim=8, memory=False)
+    assert "The device knows its last command" in card("tiny", remembering, FIGURES)
     assert "for the cart-pole, at 20 ms a slot" in text
     assert "(2 frames of 64 x 128, 20 ms apart)" in text
     assert "The scores hold for `tsjepa.plants.CartPole(process_noise_std=0.008)`." in text

@@ -80,7 +80,7 @@ class Controller(nn.Module):
 
     @property
     def has_observer(self) -> bool:
-        """Whether its devices remember what they have seen, and send what they believe."""
+        """Whether its devices send what they believe, by all that they have seen or by their last command."""
         return False
 
     @property

@@ -24,7 +24,8 @@ class SemanticController(Controller):
             command between updates (the supervised baseline).
         probe: from an embedding to the state; None where the data have no states.
         decoder: from an embedding to frames; None for none.
-        observer: on the device, from what was predicted and an embedding to what it sends; None sends the embedding.
+        observer: on the device, from what was predicted, an embedding and the last command to what it sends; None sends
+            the embedding.
     """
 
     optional: ClassVar[tuple[str, ...]] = ("decoder.", "code_")
@@ -56,7 +57,7 @@ class SemanticController(Controller):
 
     @property
     def has_observer(self) -> bool:
-        """Whether its devices remember what they have seen, and send what they believe."""
+        """Whether its devices send what they believe, by all that they have seen or by their last command."""
         return self.observer is not None
 
     @property
@@ -87,7 +88,7 @@ class SemanticController(Controller):
         """
         if self.observer is None:
             raise ValueError("This controller has no observer: send its embeddings as they are, or fit one to it.")
-        return self.observer(self.predict(belief, command), embedding)
+        return self.observer(self.predict(belief, command), embedding, command)
 
     def belief_after(self, embeddings: Tensor, commands: Tensor) -> Tensor:
         """What a device believes [..., d] after a row of slots; the first embedding is taken as it is.

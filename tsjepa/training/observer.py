@@ -42,12 +42,20 @@ class FitObserver(lightning.LightningModule):
         pretrained: zoo entry (name or folder) of a controller with a predictor. An observer that it has is replaced.
         learning_rate: peak; warm-up and cosine decay as in TS-JEPA.
         weight_decay: of AdamW, on the predictor's weights only: towards no correction the gain must not be drawn.
+        hidden_dim, memory: of the :class:`tsjepa.models.Observer`.
 
     Raises:
         ValueError: a controller without a predictor or an actor, or with a predictor of several strides.
     """
 
-    def __init__(self, pretrained: str, learning_rate: float = 1e-3, weight_decay: float = 1e-4) -> None:
+    def __init__(
+        self,
+        pretrained: str,
+        learning_rate: float = 1e-3,
+        weight_decay: float = 1e-4,
+        hidden_dim: int | None = None,
+        memory: bool = True,
+    ) -> None:
         super().__init__()
         self.learning_rate, self.weight_decay = learning_rate, weight_decay
         model = entries.load(pretrained)
@@ -57,7 +65,13 @@ class FitObserver(lightning.LightningModule):
         if isinstance(predictor, HierarchicalPredictor):
             raise ValueError(f"The predictor of {pretrained!r} has several strides: take one of single slots.")
         model.check_acts()
-        model.observer, model.metrics, model.card = Observer(model.embedding_dim), None, ""
+        model.observer = Observer(
+            model.embedding_dim, hidden_dim=hidden_dim, memory=memory, action_dim=model.spec.action_dim
+        )
+        if hidden_dim is not None:
+            model.observer.command_mean.copy_(predictor.command_mean)
+            model.observer.command_std.copy_(predictor.command_std)
+        model.metrics, model.card = None, ""
         self.model = model
         train_only(model, model.observer, predictor)
 

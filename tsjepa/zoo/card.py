@@ -39,6 +39,7 @@ KINDS = {
 OBSERVES = (
     " The device remembers: what it sends is the predictor's step from its last belief, corrected by what it sees."
 )
+KNOWS_ITS_COMMAND = " The device knows its last command: what it sends is what it sees, corrected by what that did since the older frame."
 USE = (
     "Predictive control over a radio, comparison with other encoders, and a start for fits of one's own (`pretrained: "
     "{name}` in a recipe)."
@@ -66,7 +67,7 @@ def card(name: str, model: Controller, metrics: dict) -> str:
     sections = [
         FRONT_MATTER.format(tag=tag, machine=machine) + f"# {name}",
         what.format(machine=f"the {machine}", interval=1000 * spec.slot, dim=model.embedding_dim)
-        + OBSERVES * model.has_observer,
+        + on_the_device(model),
         usage(name, model),
         *figures(metrics),
         *open_loop(metrics),
@@ -84,6 +85,13 @@ def card(name: str, model: Controller, metrics: dict) -> str:
         ),
     ]
     return "\n\n".join(sections) + "\n"
+
+
+def on_the_device(model: Controller) -> str:
+    """What the device does beside encoding, if anything."""
+    if not model.has_observer:
+        return ""
+    return OBSERVES if getattr(model.observer, "memory", True) else KNOWS_ITS_COMMAND
 
 
 def machine_name(model: Controller) -> str:

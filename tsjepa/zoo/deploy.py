@@ -48,7 +48,7 @@ class ObservingDevice(nn.Module):
 
     def forward(self, frames: Tensor, belief: Tensor, command: Tensor) -> tuple[Tensor, Tensor]:
         embedding = self.encoder(frames)
-        corrected = self.observer(self.predictor(belief, command), embedding)
+        corrected = self.observer(self.predictor(belief, command), embedding, command)
         belief = torch.where((belief == 0).all(-1, keepdim=True), embedding, corrected)
         return self.codec.encode(belief), belief
 

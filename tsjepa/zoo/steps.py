@@ -68,9 +68,9 @@ def of_plant(plant: str) -> Made:
     return Made(fits, f"data/{plant}", (), (f"{over}/evaluate",))
 
 
-def observed(entry: str) -> Made:
-    """An entry for the cart-pole with an observer on the device."""
-    return Made((Fit("observer", data="data/cartpole-noise"),), after=entry, decoder=False)
+def observed(entry: str, *over: str) -> Made:
+    """An entry for the cart-pole with an observer on the device, by the recipes ``over`` recipes/observer.yaml."""
+    return Made((Fit("observer", over, data="data/cartpole-noise"),), after=entry, decoder=False)
 
 
 SUPERVISED = (*LARGE_DATA, "--trainer.max_epochs", "9", "--model.init_args.learning_rate", "2e-3")
@@ -84,6 +84,7 @@ ENTRIES: dict[str, Made] = {
     "tsjepa-cartpole-d16": Made((Fit("jepa", ("zoo/jepa", "zoo/d16")), Fit("actor", ("zoo/actor",)))),
     "tsjepa-cartpole-observer": observed("tsjepa-cartpole"),
     "tsjepa-cartpole-d16-observer": observed("tsjepa-cartpole-d16"),
+    "tsjepa-cartpole-d16-last-command": observed("tsjepa-cartpole-d16", "last-command"),
     "supervised-cartpole-k2": Made((Fit("supervised", (), SUPERVISED),)),
     "supervised-cartpole-k4": Made((Fit("supervised", ("supervised-k4",), SUPERVISED),)),
     "autoencoder-cartpole": Made((Fit("autoencoder", (), GENERATIVE),)),
