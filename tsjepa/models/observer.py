@@ -17,8 +17,8 @@ class Observer(nn.Module):
     pictures; G leaves to the prediction what a stack tells badly. A steady-state Kalman filter is the same for a
     linear machine.
 
-    Without ``hidden_dim`` e is p. But two frames do not show what the command did since the older one, so that one state
-    is seen in many ways. With ``hidden_dim`` a network of one hidden layer tells e from p and that command u:
+    Without ``hidden_dim`` e is p. But two frames do not show what the command did since the older one, so that one
+    state is seen in many ways. With ``hidden_dim`` a network of one hidden layer tells e from p and that command u:
     e = normalize(p + f(p, u)).
 
     Args:

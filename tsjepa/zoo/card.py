@@ -39,7 +39,10 @@ KINDS = {
 OBSERVES = (
     " The device remembers: what it sends is the predictor's step from its last belief, corrected by what it sees."
 )
-KNOWS_ITS_COMMAND = " The device knows its last command: what it sends is what it sees, corrected by what that did since the older frame."
+KNOWS_ITS_COMMAND = (
+    " The device knows its last command: what it sends is what it sees, corrected by what that did since the older "
+    "frame."
+)
 USE = (
     "Predictive control over a radio, comparison with other encoders, and a start for fits of one's own (`pretrained: "
     "{name}` in a recipe)."
