@@ -93,3 +93,5 @@ def test_workers_trust_what_the_process_that_asks_them_trusts(workers):
     assert {allowed for _, allowed in run_items(may_import, items, workers)} == {False}
     with everything_trusted():
         assert {allowed for _, allowed in run_items(may_import, items, workers)} == {True}
+        assert may_import(items[0])
+    assert not may_import(items[0])

@@ -60,11 +60,11 @@ _trusted = False
 def everything_trusted() -> Iterator[None]:
     """Lets the entries that are loaded meanwhile name classes of any package: the user wrote ``--trust``."""
     global _trusted
-    _trusted = True
+    before, _trusted = _trusted, True
     try:
         yield
     finally:
-        _trusted = False
+        _trusted = before
 
 
 def may_import(path: str, trusted: bool = False) -> bool:
