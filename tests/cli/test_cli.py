@@ -9,6 +9,7 @@ import sys
 from itertools import pairwise
 from pathlib import Path
 
+import jsonargparse
 import pytest
 import tiny
 import tiny_controller
@@ -26,6 +27,7 @@ from tsjepa.plants import CartPole, Pendulum, Reacher
 from tsjepa.support import recipes
 from tsjepa.support.gl import missing_backend_message
 from tsjepa.support.recipes import one_sentence
+from tsjepa.support.workers import run_items
 
 ALL_COMMANDS = [*cli.LIGHTNING_COMMANDS, *cli.COMMANDS]
 
@@ -89,6 +91,7 @@ def test_every_command_has_help(capsys, command):
         (["import", "x", "--size=[64]"], "'size': Expected a list of 2 elements; Given value: [64]"),
         (["collect", "--plant=CartPole", "--plant.start_half_widths=1,2"], 'Expected a list, written "[a, b]". Got'),
         (["collect", "--plant=CartPol"], "no class CartPol is known, give its import path, package.module.CartPol"),
+        (["simulate", "--radio.loss=tsjepa.plants.CartPole"], "tsjepa.plants.CartPole is not IidLoss;"),
         (["zoo", "verfy"], "'action': Expected one of 'list', 'verify', 'train'. Got value: verfy"),
         (["evaluate", "tsjepa-cartpole-d15"], "no model 'tsjepa-cartpole-d15' - did you mean tsjepa-cartpole-d1"),
     ],
@@ -266,6 +269,55 @@ def test_what_the_program_refuses_is_said_without_a_traceback(capsys):
     assert len(complaint.splitlines()) == 1
 
 
+OWN = """from tsjepa.plants import CartPole
+
+class Stick(CartPole):
+    def __init__(self, length: float = 1.0):
+        super().__init__()
+        {}["length"]
+
+class Long(CartPole):
+    def __init__(self, length: float):
+        super().__init__()
+"""
+
+
+@pytest.mark.parametrize(
+    ("plant", "said"),
+    [
+        ("own_plant.Stik", "Stik cannot be imported: own_plant has no 'Stik' - did you mean Stick?"),
+        ("own_plnt.Stick", "No module named 'own_plnt'; run from the folder of your file with PYTHONPATH=. before"),
+        ("own_broken.Stick", "own_broken.py, line 2: ZeroDivisionError: division by zero"),
+        ("own_lacking.Stick", "own_lacking.py, line 1: ModuleNotFoundError: No module named 'no_such_package'"),
+        ("own_plant.Stick", "own_plant.py, line 6: KeyError: length"),
+        ("own_plant.Long", "'own_plant.Long': the following arguments are required: length (options"),
+    ],
+)
+def test_code_of_the_users_own_that_cannot_be_used_is_named_in_one_line(capsys, tmp_path, monkeypatch, plant, said):
+    (tmp_path / "own_plant.py").write_text(OWN)
+    (tmp_path / "own_broken.py").write_text("\n1 / 0")
+    (tmp_path / "own_lacking.py").write_text("import no_such_package")
+    monkeypatch.syspath_prepend(tmp_path)
+    # this process may have forbidden classes of others
+    monkeypatch.setitem(jsonargparse._common.parsing_settings, "import_path_verdicts", {})
+    data = ["--path", str(tmp_path / "data"), "--splits", "{train: {episodes: 1}}"]
+    status, _, complaint = run(capsys, "collect", *data, "--plant", plant, "--trust")
+    assert status != 0
+    assert said in complaint
+    assert len(complaint.splitlines()) == 1
+    assert not (tmp_path / "data").exists()
+
+
+@pytest.mark.slow
+def test_what_a_worker_process_refuses_is_said_as_well():
+    with pytest.raises(ValueError) as refused:
+        list(run_items(entries.verify, [tiny.ROOT / "recipes"] * 2, workers=2))
+    assert explain(refused.value) == f"{tiny.ROOT / 'recipes' / entries.MANIFEST} is missing; fetch the entry anew."
+    with pytest.raises(TypeError) as unforeseen:
+        list(run_items(entries.verify, [3, 3], workers=2))
+    assert explain(unforeseen.value) is None
+
+
 def test_traceback_on_demand(monkeypatch):
     monkeypatch.setenv("TSJEPA_TRACEBACK", "1")
     with pytest.raises(ValueError, match="frames is 0"):
@@ -308,6 +360,19 @@ def test_messages_of_jsonargparse_are_distilled():
   Given value type: <class 'str'>
   Given value: abc"""
     assert one_sentence(message) == "option 'trainer.max_epochs': Expected a int; Given value: abc"
+    message = """Parser key "trainer.callbacks":
+  Does not validate against any of the Union subtypes
+  Errors:
+    - Expected a path but own.Loud either not accessible or invalid
+    - Problem with given class_path 'own.Loud':
+        the following arguments are required: word
+    - Not a valid subclass of Callback
+      Subclass types expect one of:
+      - a class path (str)
+      - a dict with class_path entry
+  Given value: [Namespace(class_path='own.Loud')]"""
+    said = "Problem with given class_path 'own.Loud': the following arguments are required: word"
+    assert one_sentence(message) == f"option 'trainer.callbacks': {said}"
 
 
 def test_shipped_recipes_are_found_from_anywhere(monkeypatch, tmp_path):

@@ -100,15 +100,19 @@ def test_a_camera_that_never_gives_a_picture_is_refused_and_let_go(monkeypatch):
     assert not blind.opened
 
 
-def test_an_actuator_is_found_by_its_name_if_it_is_trusted():
+def test_an_actuator_is_found_by_its_name_if_it_is_trusted(tmp_path, monkeypatch):
+    (tmp_path / "own_broken.py").write_text("1 / 0")
+    monkeypatch.syspath_prepend(tmp_path)
     assert find_actuator(None) is None
-    with pytest.raises(ValueError, match="add --trust to run it"):
+    with pytest.raises(ValueError, match=r"The actuator math\.floor is not this package's own: add --trust"):
         find_actuator("math.floor")
     with everything_trusted():
         assert find_actuator("math.floor")(1.5) == 1
-        for wrong in ("math.nothing", "no_such_module.f", "floor", "math.pi"):
-            with pytest.raises(ValueError, match=r"write package\.module\.function"):
+        for wrong in ("math.nothing", "no_such_module.f", "floor", "own_broken.act"):
+            with pytest.raises(ValueError, match=rf"The actuator {wrong} cannot be imported"):
                 find_actuator(wrong)
+        with pytest.raises(ValueError, match=r"math.pi is no function: write package\.module\.function"):
+            find_actuator("math.pi")
 
 
 @pytest.fixture

@@ -52,6 +52,14 @@ def test_an_interrupted_sweep_keeps_what_is_done_and_goes_on_there(folder):
     assert calls(folder) == [0, 1, 2, 3]
 
 
+def test_a_scheduler_that_must_not_be_imported_is_refused_before_any_point_runs(folder):
+    points = toy_figure.points(3, str(folder))
+    points[2]["scheduler"] = "own_schedulers.nearest"
+    with pytest.raises(ValueError, match=r"own_schedulers\.nearest is not this package's own: add --trust"):
+        sweep.run_sweep(toy_figure, points, folder / "results")
+    assert not (folder / "calls").exists()
+
+
 def test_the_file_follows_the_sweep(folder):
     run(folder, 4)
     assert [record["point"]["x"] for record in run(folder, 2)] == [0, 1]

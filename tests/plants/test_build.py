@@ -116,6 +116,26 @@ def test_a_strangers_plant_is_built_where_it_is_trusted():
     assert isinstance(build_plant(description, trusted=True), Stranger)
 
 
+class Demanding(CartPole):
+    """Needs an argument, which has to be a number."""
+
+    def __init__(self, length) -> None:
+        super().__init__()
+        self.length = float(length)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ({}, r"\.Demanding lacks its settings length: give them in its init_args\.$"),
+        ({"length": [1]}, r"\.Demanding cannot be made of its settings: TypeError: float\(\) argument must be"),
+    ],
+)
+def test_a_strangers_plant_that_cannot_be_made_is_refused_in_one_sentence(arguments, said):
+    with pytest.raises(ValueError, match=said):
+        build_plant({"class_path": f"{__name__}.Demanding", "init_args": arguments}, trusted=True)
+
+
 def test_workers_that_draw_a_recording_build_the_strangers_plant_that_was_stepped():
     from tsjepa.data.collect import plant_of
 

@@ -3,21 +3,25 @@
 from __future__ import annotations
 
 import linecache
+import re
 from pathlib import Path
 from types import TracebackType
 
-from tsjepa.support.recipes import one_sentence
+from tsjepa.support.recipes import failed_in_own_code, one_sentence
 
 _PACKAGE = Path(__file__).parent.parent
 # Modules of others that check what a recipe sets: a learning rate, an accelerator, a number of devices.
 _CHECK_SETTINGS = ("torch.optim", "lightning.pytorch.trainer.connectors", "lightning.fabric.utilities.device_parser")
+
+_PLACE = re.compile(r'^  File "(.+)", line (\d+)', flags=re.MULTILINE)
 
 
 def explain(error: BaseException) -> str | None:
     """Say in one sentence what went wrong, where that is for the user to mend.
 
     That is so for an exception that this package raises itself (a ``raise`` statement in its code), for a file that
-    cannot be opened, for a setting that Lightning, torch or jsonargparse refuses, and for a package not installed.
+    cannot be opened, for a setting that Lightning, torch or jsonargparse refuses, for a package not installed, and for
+    code of the user's own that fails while it is imported or built.
 
     Returns:
         The sentence, or None for an exception nobody foresaw, which deserves its traceback.
@@ -25,6 +29,8 @@ def explain(error: BaseException) -> str | None:
     if _is_raised_here(error) or isinstance(error, OSError):
         # the text of a KeyError is the repr of its message
         return " ".join(str(error.args[0] if isinstance(error, KeyError) else error).split())
+    if failed := failed_in_own_code(error):
+        return failed
     if isinstance(error, ModuleNotFoundError) and not (error.name or "").startswith("tsjepa"):
         return f"the package {error.name} is not installed; `make setup` installs all that this program needs."
     if isinstance(error, UnicodeDecodeError):
@@ -62,7 +68,13 @@ def _module_of(error: BaseException) -> str:
 
 def _is_raised_here(error: BaseException) -> bool:
     """Whether a ``raise`` statement of this package threw the exception (and not a call that its code made)."""
+    file, line = _place_of(error)
+    return _PACKAGE in Path(file).parents and linecache.getline(file, line).lstrip().startswith("raise ")
+
+
+def _place_of(error: BaseException) -> tuple[str, int]:
+    """File and line that threw the exception; a worker process sends its frames as the text of a cause."""
+    if type(error.__cause__).__name__ == "_RemoteTraceback" and (places := _PLACE.findall(str(error.__cause__))):
+        return places[-1][0], int(places[-1][1])
     frame = _innermost_frame(error)
-    if frame is None or _PACKAGE not in Path(frame.tb_frame.f_code.co_filename).parents:
-        return False
-    return linecache.getline(frame.tb_frame.f_code.co_filename, frame.tb_lineno).lstrip().startswith("raise ")
+    return (frame.tb_frame.f_code.co_filename, frame.tb_lineno) if frame else ("", 0)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import threading
 import time
 import traceback
@@ -14,7 +13,7 @@ import cv2
 import numpy as np
 
 from tsjepa.live.notices import tell
-from tsjepa.support.trust import TRUST, may_import
+from tsjepa.support.description import load_named
 
 Actuate = Callable[[np.ndarray], None]
 AGAIN_S = 0.01  # between two tries at a camera that gives no picture
@@ -147,13 +146,7 @@ def find_actuator(path: str | None) -> Actuate | None:
     """
     if path is None:
         return None
-    module, _, name = path.rpartition(".")
-    if not may_import(path):
-        raise ValueError(f"The actuator {path} is code of yours: add {TRUST} to run it.")
-    try:
-        found = getattr(importlib.import_module(module), name)
-    except (ImportError, AttributeError, ValueError) as error:
-        raise ValueError(f"There is no function {path!r} ({error}): write package.module.function.") from error
+    found = load_named("actuator", path)
     if not callable(found):
         raise ValueError(f"{path} is no function: write package.module.function.")
     return found

@@ -12,6 +12,7 @@ from tsjepa.evaluation.metrics import interval
 from tsjepa.models import entries
 from tsjepa.paper import store
 from tsjepa.paper.launchers import launch
+from tsjepa.radio.schedulers import get_scheduler
 from tsjepa.support.files import exclusive
 from tsjepa.support.provenance import code_hash, provenance
 from tsjepa.support.recipes import find_recipe
@@ -35,6 +36,7 @@ def run_sweep(
         launcher, workers: see :func:`tsjepa.paper.launchers.launch`.
 
     Raises:
+        ValueError: a scheduler that there is not, or that must not be imported.
         FileExistsError: another process runs the same sweep into the same folder.
     """
     with exclusive(Path(folder) / module.__name__.rpartition(".")[2]):
@@ -59,6 +61,8 @@ def _run(module: ModuleType, points: list[dict], folder: str | Path, launcher: s
         if not set(models_of(point)) & set(missing)
         and (key not in recorded or made_of(recorded[key]) != (code, all_weights(point)))
     ]
+    for scheduler in {point["scheduler"] for point in todo if "scheduler" in point}:
+        get_scheduler(scheduler)  # says now, and not after the points before it, what cannot be imported
     origin, weights = provenance(), [all_weights(point) for point in todo]
     outcomes = launch(module.__name__, todo, launcher, workers)
     for index, (rows, seconds) in tqdm(outcomes, desc=figure, total=len(todo), unit="point"):

@@ -60,7 +60,8 @@ def build(description: Any, allowed: Allowed, trusted: bool = False) -> Any:
         trusted: import classes that are not this package's own.
 
     Raises:
-        ValueError: it names a class that must not be imported, that there is not, or arguments that it does not take.
+        ValueError: it names a class that must not be imported or that there is not, arguments that it does not take or
+            lacks, or a class that is not this package's own and fails to be made of them.
     """
     if isinstance(description, Mapping):
         if "class_path" not in description:
@@ -69,15 +70,25 @@ def build(description: Any, allowed: Allowed, trusted: bool = False) -> Any:
         arguments = {
             name: build(value, allowed, trusted) for name, value in (description.get("init_args") or {}).items()
         }
-        if unknown := set(arguments) - set(inspect.signature(kind).parameters):
-            raise ValueError(
-                f"{description['class_path']} has settings that this version does not know: "
-                f"{', '.join(sorted(unknown))}."
-            )
-        return kind(**arguments)
+        path, parameters = description["class_path"], inspect.signature(kind).parameters
+        if unknown := set(arguments) - set(parameters):
+            raise ValueError(f"{path} has settings that this version does not know: {', '.join(sorted(unknown))}.")
+        if lacking := [name for name in parameters if name not in arguments and _is_required(parameters[name])]:
+            raise ValueError(f"{path} lacks its settings {', '.join(lacking)}: give them in its init_args.")
+        if path.startswith("tsjepa."):
+            return kind(**arguments)
+        try:
+            return kind(**arguments)
+        except Exception as error:  # whatever the user's own code raises
+            raise ValueError(f"{path} cannot be made of its settings: {reason(error)}") from error
     if isinstance(description, (list, tuple)):
         return tuple(build(item, allowed, trusted) for item in description)
     return description
+
+
+def _is_required(parameter: inspect.Parameter) -> bool:
+    named = parameter.kind in (parameter.POSITIONAL_OR_KEYWORD, parameter.KEYWORD_ONLY)
+    return named and parameter.default is parameter.empty
 
 
 def load_class(path: Any, allowed: Allowed, trusted: bool = False) -> type:

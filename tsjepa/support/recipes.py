@@ -7,21 +7,29 @@ import inspect
 import itertools
 import re
 import sys
+import sysconfig
+import traceback
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from tsjepa.support.description import load_named
+from tsjepa.support.foreign import reason
 from tsjepa.support.nearest import did_you_mean
-from tsjepa.support.trust import PACKAGES, TRUST
+from tsjepa.support.trust import PACKAGES, TRUST, may_import
 
 if TYPE_CHECKING:
     from jsonargparse import ArgumentParser
 
 PACKAGE = Path(__file__).parent.parent
+# Where code lies that is not the user's own.
+_INSTALLED = (PACKAGE, *(Path(sysconfig.get_path(name)) for name in ("stdlib", "purelib", "platlib")))
 # Lines of jsonargparse's messages that name its types instead of the mistake.
 _NOISE = re.compile(
     r"Does not validate against any of the Union|Subtypes: |Errors:$|Expected (a )?<class 'NoneType'>"
-    r"|Given value type: |Given value: (NestedArg|Namespace)"
+    r"|Given value type: |Given value: \[?(NestedArg|Namespace)"
+    r"|Expected a path but \S+ either not accessible or invalid$|Not a valid subclass of \w+$"
+    r"|Subclass types expect one of:|a (class path|dict) "
 )
 # What jsonargparse says of an option or a key of a recipe that it does not know.
 _UNKNOWN = re.compile(
@@ -34,6 +42,14 @@ _CHOICE = re.compile(r"Expected a typing\.Literal\[(.*?)\]")
 _CLASS = re.compile(r"Expected a dot import path string: (\S+?)(?=;|$)")
 _UNKNOWN_OF_CLASS = re.compile(r"class_path '([\w.]+)': Option '(\w+)' is not accepted")
 _NO_CLASS = re.compile(r"\"(model|data)\": Problem with given class_path 'lightning\.Lightning(?:Data)?Module'")
+# What an option names that cannot be imported or is not in its module.
+_NOT_FOUND = re.compile(
+    r"Problem with given class_path '([\w.]+)': (?:No module named|module '[\w.]+' has no attribute)"
+    r"|a callable class: (?:No module named|module '[\w.]+' has no attribute) \S+\. Got value: ([\w.]+)"
+)
+_NO_SUBCLASS = re.compile(
+    r"Subclasses are disabled for (\w+), thus '([\w.]+)' is not .*?subclasses_enabled=\[\w+\]\)\.?"
+)
 _ROLE = re.compile(r":\w+:`([^`]+)`")  # of reStructuredText
 _DENIED = re.compile(r"Importing '([\w.]+)' is not allowed, denied by .*?set_parsing_settings to allow it\.?")
 
@@ -58,6 +74,7 @@ def one_sentence(message: str) -> str:
     text = _CHOICE.sub(r"Expected one of \1", text)
     text = _CLASS.sub(r"no class \1 is known, give its import path, package.module.\1", text)
     text = re.sub(r"<class '([\w.]+)'>", r"\1", text)
+    text = _NO_SUBCLASS.sub(r"\2 is not \1", text)
     if of := _NO_CLASS.search(text):
         return (
             f"the recipe names no class of the {of[1]}, as one that lies over another: give that one before it, such "
@@ -65,7 +82,33 @@ def one_sentence(message: str) -> str:
         )
     if denied := _DENIED.search(text):
         return f"{denied[1]} is not of {', '.join(PACKAGES)}: add {TRUST} if you trust the file that names it"
+    missing = _NOT_FOUND.search(text)
+    if missing and may_import(missing[1] or missing[2]):  # a recipe's values stand in the text too
+        try:
+            load_named("class" if missing[1] else "function", missing[1] or missing[2])
+        except ValueError as error:  # what says how to mend it
+            return str(error).rstrip(".")
     return re.sub(r'Parser key "([\w.]+)"', r"option '\1'", text).rstrip(".")
+
+
+def failed_in_own_code(error: BaseException | None) -> str | None:
+    """A sentence on code that a recipe names, and that is not installed, where it has failed to be imported or built.
+
+    Returns:
+        None where ``error``, with what has caused it, is another one.
+    """
+    while error is not None:
+        places = [
+            place for place in traceback.extract_tb(error.__traceback__) if "importlib._bootstrap" not in place.filename
+        ]
+        own = [place for place in places if not any(home in Path(place.filename).parents for home in _INSTALLED)]
+        called = [
+            place for caller, place in itertools.pairwise(places) if "jsonargparse" in Path(caller.filename).parts
+        ]
+        if any(place in own for place in called):
+            return f"{Path(own[-1].filename).name}, line {own[-1].lineno}: {reason(error)}"
+        error = error.__cause__ or error.__context__
+    return None
 
 
 def error_method(program: str) -> Callable:
@@ -75,7 +118,7 @@ def error_method(program: str) -> Callable:
         if not parser.exit_on_error:
             # the parser of one of several types that an option may have: the next one may fit
             raise argparse.ArgumentError(None, message) from cause
-        sentence = one_sentence(message)
+        sentence = (failed_in_own_code(cause) or one_sentence(message)).rstrip(".")
         print(f"{program}: {sentence}{_meant(sentence, parser)} (options: {program} --help)", file=sys.stderr)
         raise SystemExit(2)
 
