@@ -26,8 +26,11 @@ def serve(screen: Screen, codecs: Sequence[str], schedulers: Sequence[str], port
         screen: what is shown.
         codecs, schedulers: what can be chosen.
         port: of the loopback address.
+
+    Raises:
+        ValueError: what a scheduler of the user's own has done has ended the fleet.
     """
-    drawn_at = 0.0
+    drawn_at, refused = 0.0, None
 
     @app.get(PICTURE)
     async def picture() -> Response:
@@ -36,12 +39,15 @@ def serve(screen: Screen, codecs: Sequence[str], schedulers: Sequence[str], port
         It is drawn in the thread of the event loop, the program's first: an OpenGL context has to be freed where it was
         used.
         """
-        nonlocal drawn_at
+        nonlocal drawn_at, refused
         if time.monotonic() - drawn_at > 0.8 * INTERVAL_S:
             drawn_at = time.monotonic()
             try:
                 screen.draw()
             except (EOFError, ConnectionResetError, BrokenPipeError):
+                app.shutdown()
+            except ValueError as error:
+                refused = error
                 app.shutdown()
         return Response(screen.jpeg, media_type="image/jpeg", headers={"Cache-Control": "no-store"})
 
@@ -49,6 +55,8 @@ def serve(screen: Screen, codecs: Sequence[str], schedulers: Sequence[str], port
         page(screen, codecs, schedulers)
 
     ui.run(root, host=HOST, port=port, title="tsjepa", reload=False, show=False, show_welcome_message=False)
+    if refused is not None:
+        raise refused
 
 
 def page(screen: Screen, codecs: Sequence[str], schedulers: Sequence[str]) -> None:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import multiprocessing
+import os
 import signal
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from multiprocessing.connection import Connection
 
@@ -63,7 +64,8 @@ def running(loop: Loop, controller: str, setting: Setting, seed: int) -> Iterato
         seed: see :class:`tsjepa.watch.fleet.RunningFleet`.
 
     Yields:
-        A function that may be called by one thread at a time. It raises EOFError when the process has ended.
+        A function that may be called by one thread at a time. It raises the ValueError that has ended the
+        fleet, such as that of a scheduler of the user's own, or EOFError when the process has ended otherwise.
     """
     context = multiprocessing.get_context("spawn")  # an OpenGL context does not survive a fork
     here, there = context.Pipe()
@@ -73,8 +75,13 @@ def running(loop: Loop, controller: str, setting: Setting, seed: int) -> Iterato
     there.close()
 
     def ask(setting: Setting, pushed: Sequence[int]) -> Snapshot:
-        here.send((setting, list(pushed)))
-        return here.recv()
+        # of a process that has ended the reason is still to be read
+        with suppress(BrokenPipeError, ConnectionResetError):
+            here.send((setting, list(pushed)))
+        answer = here.recv()
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
 
     try:
         yield ask
@@ -87,7 +94,8 @@ def serve(connection: Connection, loop: Loop, setting: Setting, seed: int) -> No
     """Runs slots in real time, and between two of them answers the other end until it closes.
 
     Args:
-        connection: receives (setting, pushed devices) and sends a :class:`tsjepa.watch.setting.Snapshot`.
+        connection: receives (setting, pushed devices) and sends a :class:`tsjepa.watch.setting.Snapshot`, or the
+            ValueError that has ended the fleet.
         loop, setting, seed: as of :func:`running`; the loop's controller is a name.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the page, which closes the connection
@@ -106,3 +114,7 @@ def serve(connection: Connection, loop: Loop, setting: Setting, seed: int) -> No
             clock.wait()
     except (EOFError, BrokenPipeError, ConnectionResetError):
         return
+    except ValueError as error:
+        connection.send(error)
+        if os.environ.get("TSJEPA_TRACEBACK") == "1":
+            raise
