@@ -81,8 +81,8 @@ def test_a_module_that_a_recipe_names_is_not_even_imported(home, command, monkey
     status, complaint = command("fit", "--config", RECIPE, "--model", "mine.Model")
     assert status == 2 and complaint.startswith("tsjepa fit: mine.Model is not of tsjepa")
     # nor one that a value makes look as if it had been tried
-    value = "Problem with given class_path 'mine.Model': No module named 'x'"
-    status, complaint = command("simulate", "--slots", value)
+    value = json.dumps({"class_path": "Problem with given class_path 'mine.Model': No module named 'x'"})
+    status, complaint = command("simulate", "--plant", value)
     assert status == 2 and "mine.Model" in complaint
     assert not (home / "pwned").exists()
 
