@@ -219,7 +219,7 @@ def test_the_description_says_what_goes_in_and_comes_out(deployment):
     assert said["graphs"]["receive"]["inputs"].get("reference") == ("float32 [rows, 1]" if takes else None)
 
 
-@pytest.mark.parametrize("options", [{"gain": 0.6}, {"hidden_dim": 12}, {"hidden_dim": 12, "memory": False}])
+@pytest.mark.parametrize("options", [{"hidden_dim": 12}, {"hidden_dim": 12, "memory": False}])
 def test_a_device_that_remembers_sends_its_belief(tmp_path, options):
     model = MODELS["tiny with an observer"]()
     torch.manual_seed(0)
